@@ -1,0 +1,80 @@
+"""The one decorator of every kernel, and where its compiled code is kept."""
+
+import hashlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+FLAGS = {"contract", "reassoc", "arcp", "nsz"}
+"""Safe parts of fast maths. Never plain ``fastmath=True``: it removes the tests for NaN that mark missing values."""
+
+
+def _sources_hash() -> str:
+    """Hash of everything that compiled code depends on: all kernels, the constants, numba's version.
+
+    numba checks only the file of the cached function itself; after an edit to a kernel that it *calls* it would
+    return the old result.
+    """
+    digest = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
+    here = Path(__file__).parent
+    for path in [here.parent / "constants.py", *sorted(here.glob("*.py"))]:
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _writable(path: Path) -> bool:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path):
+            return True
+    except OSError:
+        return False
+
+
+def cache_dir() -> Path:
+    """Directory of compiled kernels: ``$STARWISE_CACHE_DIR``, or the user's cache, or a temporary one.
+
+    The installation itself may be read-only or shared; nothing is written there.
+    """
+    name = _sources_hash()
+    asked = os.environ.get("STARWISE_CACHE_DIR")
+    if asked:
+        candidates = [Path(asked)]
+    elif sys.platform == "win32":
+        candidates = [Path(os.environ.get("LOCALAPPDATA", "~")).expanduser() / "starwise" / "cache"]
+    elif sys.platform == "darwin":
+        candidates = [Path("~/Library/Caches/starwise").expanduser()]
+    else:
+        candidates = [Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "starwise"]
+    owner = os.getuid() if hasattr(os, "getuid") else 0
+    candidates.append(Path(tempfile.gettempdir()) / f"starwise-{owner}")
+    for base in candidates:
+        if _writable(base / name):
+            return base / name
+    return Path(tempfile.mkdtemp(prefix="starwise-"))
+
+
+_CACHE = str(cache_dir())
+
+
+def njit(function: F) -> F:
+    """Compile a kernel: cached in `cache_dir`, numpy's error model (x / 0 is inf), safe fast maths.
+
+    numba reads its cache setting when a function is decorated, so it is set for that moment only: other users of
+    numba in the same process are not affected.
+    """
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = _CACHE
+    try:
+        compiled: F = numba.njit(cache=True, error_model="numpy", fastmath=FLAGS)(function)
+    finally:
+        numba.config.CACHE_DIR = before
+    return compiled
