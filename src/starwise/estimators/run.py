@@ -1,0 +1,138 @@
+"""A whole run: observations and an ephemeris in, a solution with its ledger out."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starwise.config import RunConfig
+from starwise.constants import C_LIGHT, ROW_COMBINED, ROW_USED
+from starwise.estimators.least_squares import least_squares
+from starwise.kernels.rangemodel import RowModel
+from starwise.kernels.spp import EpochOut
+from starwise.models.pseudorange import Prepared, prepare
+from starwise.types import Ephemeris, IonosphereModel, Observations, Solution
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the fraction (0..1) that is."""
+
+
+def solve_run(
+    obs: Observations,
+    ephemeris: Ephemeris,
+    ionosphere: IonosphereModel,
+    config: RunConfig,
+    progress: Progress | None = None,
+) -> Solution:
+    """Solve all epochs with the configured method.
+
+    Parameters
+    ----------
+    obs : Observations
+        As read or simulated; ``config.start_ns``, ``end_ns`` and ``interval_s`` are applied here.
+    ephemeris : Ephemeris
+    ionosphere : IonosphereModel
+    config : RunConfig
+    progress : callable, optional
+
+    Returns
+    -------
+    Solution
+        With the ledger of every observation row; provenance holds notes and counts, the caller adds inputs.
+
+    Raises
+    ------
+    StarwiseError
+        Nothing to position with.
+    """
+    say = progress or (lambda _what, _fraction: None)
+    obs = obs.between(config.start_ns, config.end_ns, config.interval_s)
+    say("satellites", 0.0)
+    prepared = prepare(obs, ephemeris, ionosphere, config)
+    say(config.method, 0.3)
+    ep, out = _estimate(prepared, config)
+    say("ledger", 0.8)
+    solution = Solution(
+        t_ns=obs.t_ns,
+        status=ep.status,
+        pos_e=ep.pos,
+        vel_e=ep.vel,
+        cov_pos=ep.cov_pos,
+        cov_vel=ep.cov_vel,
+        clock_m=ep.clock,
+        drift_mps=ep.drift,
+        clock_sigma_m=np.sqrt(ep.clock_var),
+        clock_names=prepared.clock_names,
+        n_used=ep.n_used,
+        dop=ep.dop,
+        nis=ep.nis,
+        dof=ep.dof,
+        ledger=make_ledger(obs, prepared, ep, out),
+        provenance={"notes": list(prepared.notes)},
+    )
+    say("done", 1.0)
+    return solution
+
+
+def _estimate(prepared: Prepared, config: RunConfig) -> tuple[EpochOut, RowModel]:
+    if config.method == "lsq":
+        return least_squares(prepared, config)
+    from starwise.estimators.filter import run_filter
+
+    return run_filter(prepared, config)
+
+
+def make_ledger(obs: Observations, prepared: Prepared, ep: EpochOut, out: RowModel) -> dict[str, NDArray[Any]]:
+    """Ledger: a row per (epoch, satellite, signal) of the observations, in their order.
+
+    The row of the chosen signal carries the terms of the model; for it
+
+        code = geometric + sagnac + receiver_clock - satellite_clock + group_delay + troposphere + ionosphere + innovation
+
+    to rounding, all in metres (for least squares the innovation is the residual). Rows of signals that were not chosen
+    have their status and NaN.
+    """
+    s, n = prepared.sightings, obs.n_rows
+    at = s.row
+    status = prepared.row_status.copy()
+    status[at] = out.status
+    second = s.row2 >= 0
+    status[s.row2[second]] = np.where(out.status[second] == ROW_USED, ROW_COMBINED, out.status[second])
+
+    def spread(values: NDArray[Any]) -> NDArray[Any]:
+        result = np.full(n, np.nan)
+        result[at] = values
+        return result
+
+    epoch = np.repeat(np.arange(obs.n_epochs), np.diff(s.offsets))
+    clock = ep.clock[epoch, prepared.rows.clock]
+    sig2 = np.zeros(n, dtype=np.int16)
+    sig2[at] = s.sig2
+    rate_used = np.zeros(n, dtype=bool)
+    rate_used[at] = out.rate_used != 0
+    return {
+        "t_ns": np.repeat(obs.t_ns, np.diff(obs.offsets)),
+        "sv": obs.sv,
+        "sig": obs.sig,
+        "sig2": sig2,
+        "status": status,
+        "rate_used": rate_used,
+        "elevation_rad": spread(out.elevation),
+        "azimuth_rad": spread(out.azimuth),
+        "cn0_dbhz": obs.cn0_dbhz,
+        "code_m": spread(s.code_m),
+        "geometric_m": spread(out.geometric),
+        "sagnac_m": spread(out.sagnac),
+        "satellite_clock_m": spread(C_LIGHT * prepared.states.clock_s),
+        "relativity_m": spread(C_LIGHT * prepared.states.relativity_s),
+        "group_delay_m": spread(prepared.group_delay_m),
+        "troposphere_m": spread(out.troposphere),
+        "ionosphere_m": spread(out.ionosphere),
+        "receiver_clock_m": spread(clock),
+        "innovation_m": spread(out.v_code),
+        "innovation_var_m2": spread(out.s_code),
+        "rate_innovation_mps": spread(out.v_rate),
+        "rate_innovation_var_m2ps2": spread(out.s_rate),
+        "ephemeris_age_s": spread(prepared.states.age_s),
+    }

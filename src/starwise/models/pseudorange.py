@@ -1,0 +1,217 @@
+"""Observations and an ephemeris made into rows that least squares and filters take."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starwise.config import RunConfig
+from starwise.constants import (
+    C_LIGHT,
+    N_SYSTEMS,
+    ROW_BAD_EPHEMERIS,
+    ROW_EPHEMERIS_TOO_OLD,
+    ROW_INACCURATE,
+    ROW_NO_CLOCK,
+    ROW_NO_EPHEMERIS,
+    ROW_UNHEALTHY,
+    ROW_USED,
+    SAT_BAD_EPHEMERIS,
+    SAT_INACCURATE,
+    SAT_NO_CLOCK,
+    SAT_NO_EPHEMERIS,
+    SAT_TOO_OLD,
+    SAT_UNHEALTHY,
+    SYS_C,
+    SYS_J,
+    SYS_R,
+    SYS_S,
+    SYSTEMS,
+)
+from starwise.errors import StarwiseError
+from starwise.kernels.rangemodel import IONO_BDS, IONO_GPS, IONO_NONE, Epochs, ModelOptions, RowModel, Rows
+from starwise.models.select import select
+from starwise.types import F8, U1, Ephemeris, IonosphereModel, Observations, SatStates, Sightings
+
+_ROW_OF_SAT = np.zeros(16, dtype=np.uint8)
+for _sat, _row in (
+    (SAT_NO_EPHEMERIS, ROW_NO_EPHEMERIS),
+    (SAT_UNHEALTHY, ROW_UNHEALTHY),
+    (SAT_TOO_OLD, ROW_EPHEMERIS_TOO_OLD),
+    (SAT_BAD_EPHEMERIS, ROW_BAD_EPHEMERIS),
+    (SAT_NO_CLOCK, ROW_NO_CLOCK),
+    (SAT_INACCURATE, ROW_INACCURATE),
+):
+    _ROW_OF_SAT[_sat] = _row
+
+UNKNOWN_GROUP_DELAY_SIGMA_M = 3.0
+"""1 sigma, m, added where a signal's group delay is not broadcast: the size of the delays themselves (GPS TGD
+-20..+20 ns, IS-GPS-200N 20.3.3.3.3.2, typically 3-4 m rms; BeiDou TGD1 likewise)."""
+UNKNOWN_EPHEMERIS_SIGMA_M = {SYS_R: 4.0, SYS_S: 4.0}
+"""1-sigma range error, m, of ephemerides that claim none: GLONASS orbit and clock 2-5 m (GLONASS ICD L1/L2 5.1 table
+4.2 allows 7 m radial-equivalent); other systems 2.4 m, the worst of URA index 0."""
+CODE_SIGMA_M = {SYS_R: 0.8}
+"""Code noise and multipath at the zenith and 45 dB-Hz, m; 0.4 m elsewhere. GLONASS chips are twice as long as those of
+GPS C/A (0.511 against 1.023 Mchip/s)."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Everything that a run over epochs needs, and that only depends on inputs and configuration."""
+
+    sightings: Sightings
+    states: SatStates
+    group_delay_m: F8
+    row_status: U1
+    """`ROW_*` of every observation row as selection left it."""
+    rows: Rows
+    epochs: Epochs
+    options: ModelOptions
+    clock_names: tuple[str, ...]
+    """System letter of each receiver clock; QZSS shares that of GPS where both are used."""
+    notes: tuple[str, ...]
+    """What was decided where the inputs are silent: for the summary."""
+
+
+def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel, config: RunConfig) -> Prepared:
+    """Select signals, attach satellites and lay out the rows of a run.
+
+    Raises
+    ------
+    StarwiseError
+        No observation is left to position with, and why.
+    """
+    if obs.n_epochs == 0:
+        raise StarwiseError("no epochs in the observations (or none between start and end)")
+    if_free = config.combination == "ionosphere_free"
+    s, row_status = select(
+        obs,
+        config.systems,
+        ionosphere_free=if_free,
+        signals=config.signals,
+        exclude=config.exclude,
+        channels=ephemeris.channels,
+    )
+    use = np.flatnonzero(s.status == ROW_USED)
+    if len(use) == 0:
+        raise StarwiseError(
+            "no pseudorange of the chosen systems and signals",
+            found=", ".join(f"{k}: {' '.join(v)}" for k, v in obs.header.signals.items()) or "no declared signals",
+            wanted=f"systems {config.systems}",
+        )
+    t_rx = np.repeat(s.t_ns, np.diff(s.offsets))
+    states = _scatter(ephemeris.states(t_rx[use], s.sv[use], s.code_m[use], post=config.post), use, len(s.sv))
+    status = s.status.copy()
+    bad = _ROW_OF_SAT[states.status[use]]
+    status[use] = np.where(bad != 0, bad, ROW_USED)
+    delay = np.full(len(s.sv), np.nan)
+    delay[use] = ephemeris.group_delay(states.record[use], s.sv[use], s.sig[use], s.sig2[use])
+    sigma = _ephemeris_sigma(states.sigma_m, s.sv >> 8)
+    unknown_delay = ~np.isfinite(delay)
+    sigma = np.where(unknown_delay, np.hypot(sigma, UNKNOWN_GROUP_DELAY_SIGMA_M), sigma)
+    clock_names, clock = _clocks(s, status)
+    options, notes = model_options(config, ionosphere)
+    rows = Rows(
+        sat_pos=states.pos_e,
+        sat_vel=states.vel_e,
+        clock_m=C_LIGHT * states.clock_s - np.where(unknown_delay, 0.0, delay),
+        drift_mps=C_LIGHT * states.drift,
+        code_m=s.code_m,
+        rate_mps=s.rate_mps,
+        cn0_dbhz=s.cn0_dbhz,
+        freq_hz=s.freq_hz,
+        sigma_sat_m=sigma,
+        noise_factor=s.noise_factor,
+        system=(s.sv >> 8).astype(np.int64),
+        clock=clock,
+        status=status,
+    )
+    return Prepared(
+        s, states, delay, row_status, rows, Epochs(s.t_ns, s.offsets), options, clock_names, tuple(notes)
+    )
+
+
+def _scatter(found: SatStates, use: NDArray[np.intp], n: int) -> SatStates:
+    """States of the usable rows spread over all rows."""
+    if len(use) == n:
+        return found
+
+    def spread(values: NDArray[np.generic], fill: float) -> NDArray[np.generic]:
+        out = np.full((n, *values.shape[1:]), fill, dtype=values.dtype)
+        out[use] = values
+        return out
+
+    return SatStates(
+        pos_e=spread(found.pos_e, np.nan),
+        vel_e=spread(found.vel_e, np.nan),
+        clock_s=spread(found.clock_s, np.nan),
+        drift=spread(found.drift, np.nan),
+        relativity_s=spread(found.relativity_s, np.nan),
+        sigma_m=spread(found.sigma_m, np.nan),
+        t_tx_ns=spread(found.t_tx_ns, 0),
+        age_s=spread(found.age_s, np.nan),
+        status=spread(found.status, SAT_NO_EPHEMERIS),
+        record=spread(found.record, -1),
+    )  # type: ignore[arg-type]
+
+
+def _ephemeris_sigma(sigma_m: F8, system: NDArray[np.int16]) -> F8:
+    unknown = np.full(N_SYSTEMS, 2.4)
+    for index, value in UNKNOWN_EPHEMERIS_SIGMA_M.items():
+        unknown[index] = value
+    return np.where(np.isfinite(sigma_m), sigma_m, unknown[system])
+
+
+def _clocks(s: Sightings, status: U1) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+    """Names of the receiver clocks of a run and the clock of every row."""
+    present = set(np.unique(s.sv[status == ROW_USED] >> 8).tolist())
+    share = SYS_J in present and 0 in present  # QZSST is steered to GPST (IS-QZSS-PNT-005 3.2.1)
+    if share:
+        present.discard(SYS_J)
+    order = sorted(present)
+    column = np.zeros(N_SYSTEMS, dtype=np.int64)
+    for k, system in enumerate(order):
+        column[system] = k
+    if share:
+        column[SYS_J] = column[0]
+    return tuple(SYSTEMS[k] for k in order) or ("G",), column[s.sv >> 8]
+
+
+def model_options(config: RunConfig, ionosphere: IonosphereModel) -> tuple[ModelOptions, list[str]]:
+    """Numbers of the measurement model, and notes on what was decided."""
+    notes: list[str] = []
+    model = np.full(N_SYSTEMS, IONO_NONE, dtype=np.int64)
+    coef = np.zeros((N_SYSTEMS, 8))
+    if config.ionosphere == "broadcast" and config.combination == "single":
+        common = next((ionosphere.klobuchar[k] for k in ("G", "J", "E", "I") if k in ionosphere.klobuchar), None)
+        beidou = ionosphere.klobuchar.get("C")
+        if common is not None:
+            model[:], coef[:] = IONO_GPS, common
+        elif beidou is not None:
+            model[:], coef[:] = IONO_BDS, beidou
+        else:
+            notes.append("no broadcast ionosphere coefficients: no ionosphere correction, sigmas widened")
+        if beidou is not None:
+            model[SYS_C], coef[SYS_C] = IONO_BDS, beidou
+    code_sigma = np.full(N_SYSTEMS, 0.4)
+    for index, value in CODE_SIGMA_M.items():
+        code_sigma[index] = value
+    options = ModelOptions(
+        mask_rad=math.radians(config.mask_deg),
+        cn0_min_dbhz=config.cn0_min_dbhz,
+        iono_model=model,
+        iono_coef=coef,
+        troposphere_on=config.troposphere != "none",
+        code_sigma=code_sigma,
+        rate_sigma=0.1,
+        fixed_code_sigma_m=0.0,
+        fixed_rate_sigma_mps=0.0,
+    )
+    return options, notes
+
+
+def empty_row_model(n: int) -> RowModel:
+    """Outputs for ``n`` rows, NaN."""
+    floats = [np.full(n, np.nan) for _ in range(12)]
+    return RowModel(*floats, status=np.zeros(n, dtype=np.uint8), rate_used=np.zeros(n, dtype=np.uint8))
