@@ -83,7 +83,9 @@ def _estimate(prepared: Prepared, config: RunConfig) -> tuple[EpochOut, RowModel
     return run_filter(prepared, config)
 
 
-def make_ledger(obs: Observations, prepared: Prepared, ep: EpochOut, out: RowModel) -> dict[str, NDArray[Any]]:
+def make_ledger(
+    obs: Observations, prepared: Prepared, ep: EpochOut, out: RowModel
+) -> dict[str, NDArray[Any]]:
     """Ledger: a row per (epoch, satellite, signal) of the observations, in their order.
 
     The row of the chosen signal carries the terms of the model; for it

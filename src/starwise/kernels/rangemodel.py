@@ -144,7 +144,14 @@ def geodetic(px: float, py: float, pz: float) -> tuple[float, float, float]:
 
 @njit
 def ionosphere_delay(
-    options: ModelOptions, system: int, freq_hz: float, lat: float, lon: float, az: float, el: float, tow: float
+    options: ModelOptions,
+    system: int,
+    freq_hz: float,
+    lat: float,
+    lon: float,
+    az: float,
+    el: float,
+    tow: float,
 ) -> float:
     """Slant ionosphere delay of a code on ``freq_hz``, m, by the broadcast model chosen for the system."""
     model = options.iono_model[system]

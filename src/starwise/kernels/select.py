@@ -118,7 +118,11 @@ def select_signals(
                     row_status[r] = ROW_NOT_SELECTED
                     any_code = True
             if not any_code:
-                s_status[k] = row_status[start] if row_status[start] in (ROW_SYSTEM_OFF, ROW_EXCLUDED_BY_USER) else fault
+                s_status[k] = (
+                    row_status[start]
+                    if row_status[start] in (ROW_SYSTEM_OFF, ROW_EXCLUDED_BY_USER)
+                    else fault
+                )
                 continue
             first = _best(start, i, sv, sig, rank, row_status)
             if first < 0:

@@ -7,11 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starwise.constants import (
-    C_LIGHT,
     EPOCH_NO_SOLUTION,
     EPOCH_OK,
     EPOCH_SUSPECT,
-    OMEGA_E_GPS,
     ROW_EPOCH_UNSOLVED,
     ROW_EXCLUDED,
     ROW_USED,
@@ -24,7 +22,6 @@ from starwise.kernels.rangemodel import (
     RowModel,
     Rows,
     epoch_corrections,
-    geodetic,
     range_los,
     range_rate,
 )
@@ -393,7 +390,9 @@ def spp_epoch(
 
 
 @njit
-def spp_run(model: ModelOptions, options: SppOptions, epochs: Epochs, rows: Rows, ep: EpochOut, out: RowModel) -> None:
+def spp_run(
+    model: ModelOptions, options: SppOptions, epochs: Epochs, rows: Rows, ep: EpochOut, out: RowModel
+) -> None:
     """Least squares for all epochs of a run; each starts from the epoch before only to save iterations.
 
     Inter-system clock offsets are remembered and serve as observations in epochs that have too few satellites to
@@ -426,7 +425,20 @@ def spp_run(model: ModelOptions, options: SppOptions, epochs: Epochs, rows: Rows
             # A start taken from a wrong place could be why: once more from the Earth's centre.
             x[:] = 0.0
             status = spp_epoch(
-                model, options, epochs.t_ns[e], rows, start, end, now_tie, now_var, x, P, vel, Pv, numbers, out
+                model,
+                options,
+                epochs.t_ns[e],
+                rows,
+                start,
+                end,
+                now_tie,
+                now_var,
+                x,
+                P,
+                vel,
+                Pv,
+                numbers,
+                out,
             )
         ep.status[e] = status
         ep.n_used[e], ep.dof[e], ep.nis[e] = int(numbers[0]), int(numbers[1]), numbers[2]

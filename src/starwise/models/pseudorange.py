@@ -74,7 +74,9 @@ class Prepared:
     """What was decided where the inputs are silent: for the summary."""
 
 
-def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel, config: RunConfig) -> Prepared:
+def prepare(
+    obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel, config: RunConfig
+) -> Prepared:
     """Select signals, attach satellites and lay out the rows of a run.
 
     Raises
@@ -97,7 +99,8 @@ def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel
     if len(use) == 0:
         raise StarwiseError(
             "no pseudorange of the chosen systems and signals",
-            found=", ".join(f"{k}: {' '.join(v)}" for k, v in obs.header.signals.items()) or "no declared signals",
+            found=", ".join(f"{k}: {' '.join(v)}" for k, v in obs.header.signals.items())
+            or "no declared signals",
             wanted=f"systems {config.systems}",
         )
     t_rx = np.repeat(s.t_ns, np.diff(s.offsets))
@@ -184,7 +187,9 @@ def model_options(config: RunConfig, ionosphere: IonosphereModel) -> tuple[Model
     model = np.full(N_SYSTEMS, IONO_NONE, dtype=np.int64)
     coef = np.zeros((N_SYSTEMS, 8))
     if config.ionosphere == "broadcast" and config.combination == "single":
-        common = next((ionosphere.klobuchar[k] for k in ("G", "J", "E", "I") if k in ionosphere.klobuchar), None)
+        common = next(
+            (ionosphere.klobuchar[k] for k in ("G", "J", "E", "I") if k in ionosphere.klobuchar), None
+        )
         beidou = ionosphere.klobuchar.get("C")
         if common is not None:
             model[:], coef[:] = IONO_GPS, common

@@ -1,0 +1,134 @@
+"""Least squares on hand-made skies: exactness, cold start, exclusion, systems with one satellite, velocity."""
+
+import numpy as np
+import pytest
+
+from skies import RECEIVER, options, sky
+from starwise.constants import EPOCH_NO_SOLUTION, EPOCH_OK, EPOCH_SUSPECT, ROW_EXCLUDED, ROW_USED
+from starwise.estimators.least_squares import chi_square_table, empty_epochs
+from starwise.frames import geodetic_from_ecef
+from starwise.kernels.rangemodel import geodetic, range_los
+from starwise.kernels.spp import SppOptions, spp_run
+from starwise.models.pseudorange import empty_row_model
+
+SPP = SppOptions(fde=True, chi2=chi_square_table(1e-3), max_gdop=30.0, max_excluded=0.4, tie_sigma_m=0.05)
+
+
+def solve(epochs, rows, spp=SPP, model=None):
+    ep = empty_epochs(len(epochs.t_ns), int(rows.clock.max()) + 1)
+    out = empty_row_model(len(rows.code_m))
+    spp_run(model or options(), spp, epochs, rows, ep, out)
+    return ep, out
+
+
+@pytest.mark.laws
+def test_noiseless_rows_give_the_truth_from_a_cold_start():
+    velocity = np.array([10.0, -20.0, 5.0])
+    systems = np.array([0, 0, 0, 0, 1, 1, 2, 2, 3, 3])
+    epochs, rows, truth = sky(10, 3, systems=systems, velocity=velocity, drift_mps=3.0)
+    ep, _ = solve(epochs, rows)
+    assert (ep.status == EPOCH_OK).all()
+    # 1e-6 m: float64 rounding of ranges of 2.5e7 m (4e-9 m) times DOP, and the 1e-4 m convergence step squared.
+    np.testing.assert_allclose(ep.pos, truth, atol=1e-6, rtol=0)
+    np.testing.assert_allclose(ep.vel, np.tile(velocity, (3, 1)), atol=1e-8, rtol=0)
+    np.testing.assert_allclose(ep.drift[:, 0], 3.0, atol=1e-8, rtol=0)
+    np.testing.assert_allclose(ep.clock[0], np.linspace(1e4, 2e4, 4), atol=1e-6, rtol=0)
+
+
+@pytest.mark.laws
+def test_unit_vector_is_the_derivative_of_the_range():
+    sat = np.array([1.5e7, 1.2e7, 1.8e7])
+    _, _, *u = range_los(*RECEIVER, *sat)
+    for axis in range(3):
+        step = np.zeros(3)
+        step[axis] = 100.0
+        up = sum(range_los(*(RECEIVER + step), *sat)[:2])
+        down = sum(range_los(*(RECEIVER - step), *sat)[:2])
+        # The Jacobian leaves out the derivative of the Sagnac term, omega / c * r = 7e-6.
+        assert -u[axis] == pytest.approx((up - down) / 200.0, abs=1e-5)
+
+
+def test_geodetic_twin():
+    rng = np.random.default_rng(3)
+    pos = rng.normal(size=(200, 3))
+    pos *= rng.uniform(6.35e6, 5e7, 200)[:, None] / np.linalg.norm(pos, axis=1)[:, None]
+    for p in pos:
+        np.testing.assert_allclose(geodetic(*p)[:2], geodetic_from_ecef(p)[:2], atol=1e-13, rtol=0)
+        assert geodetic(*p)[2] == pytest.approx(geodetic_from_ecef(p)[2], abs=1e-6)  # m
+
+
+@pytest.mark.laws
+def test_order_of_satellites_does_not_matter():
+    epochs, rows, _ = sky(9, 1, code_sigma=3.0, rate_sigma=0.1)
+    order = np.random.default_rng(1).permutation(9)
+    shuffled = type(rows)(*(a[order] for a in rows))
+    a, b = solve(epochs, rows)[0], solve(epochs, shuffled)[0]
+    np.testing.assert_allclose(a.pos, b.pos, atol=1e-6, rtol=0)  # m, summation order
+
+
+@pytest.mark.parametrize("fault_m", [60.0, 1e3, 1e5, -3e6])
+def test_one_faulty_satellite_is_excluded(fault_m):
+    epochs, rows, truth = sky(9, 20, code_sigma=1.0)
+    bad = np.arange(4, len(rows.code_m), 9)
+    rows.code_m[bad] += fault_m
+    ep, out = solve(epochs, rows)
+    assert (ep.status == EPOCH_OK).all()
+    assert (out.status[bad] == ROW_EXCLUDED).all()
+    assert np.linalg.norm(ep.pos - truth, axis=1).max() < 15.0  # m: 1 m of noise, PDOP below 4
+
+
+def test_fault_that_cannot_be_isolated_is_flagged():
+    epochs, rows, _ = sky(5, 20, code_sigma=1.0)  # one redundant satellite: detection, no isolation
+    rows.code_m[np.arange(2, len(rows.code_m), 5)] += 1e3
+    ep, _ = solve(epochs, rows)
+    assert (ep.status == EPOCH_SUSPECT).all()
+
+
+def test_four_satellites_are_solved_but_nothing_checks_them():
+    epochs, rows, truth = sky(4, 2)
+    ep, _ = solve(epochs, rows)
+    np.testing.assert_allclose(ep.pos, truth, atol=1e-5, rtol=0)
+    assert (ep.status == EPOCH_SUSPECT).all()
+    assert (ep.dof == 0).all()
+
+
+def test_three_satellites_have_no_solution():
+    epochs, rows, _ = sky(3, 2)
+    ep, _ = solve(epochs, rows)
+    assert (ep.status == EPOCH_NO_SOLUTION).all()
+    assert np.isnan(ep.pos).all()
+
+
+def test_system_with_one_satellite_only_gets_its_clock():
+    systems = np.array([0] * 6 + [1])
+    epochs, rows, _ = sky(7, 1, systems=systems, code_sigma=2.0)
+    with_one = solve(epochs, rows)[0]
+    rows.status[6] = 3
+    without = solve(epochs, rows)[0]
+    np.testing.assert_allclose(with_one.pos, without.pos, atol=1e-5, rtol=0)
+    assert np.isfinite(with_one.clock[0, 1])
+    assert with_one.dof[0] == without.dof[0]
+
+
+def test_intersystem_offset_is_held_when_satellites_are_few():
+    systems = np.array([0, 0, 0, 0, 0, 1, 1])
+    epochs, rows, truth = sky(7, 3, systems=systems)
+    rows.status[14 + np.array([0, 1, 2])] = 3  # third epoch: 2 + 2 satellites for 5 unknowns
+    ep, _ = solve(epochs, rows)
+    np.testing.assert_allclose(ep.pos[2], truth[2], atol=1e-5, rtol=0)
+    off = solve(epochs, rows, SPP._replace(tie_sigma_m=0.0))[0]
+    assert off.status[2] != EPOCH_NO_SOLUTION or np.isnan(off.pos[2]).all()
+
+
+def test_normalised_residuals_are_chi_square():
+    epochs, rows, truth = sky(12, 2000, code_sigma=1.0, rate_sigma=0.1, step_s=0.1)
+    ep, out = solve(epochs, rows, SPP._replace(fde=False))
+    mean = ep.nis.mean() / 8.0
+    # 2000 x 8 degrees of freedom: sigma of the mean is sqrt(2 / 16000) = 0.011; 5 sigma, false alarm 6e-7.
+    assert abs(mean - 1.0) < 0.056
+    e = ep.pos - truth
+    nees = np.einsum("ni,nij,nj->n", e, np.linalg.inv(ep.cov_pos), e).mean() / 3.0
+    assert abs(nees - 1.0) < 5 * np.sqrt(2 / 6000)
+    used = out.status == ROW_USED
+    # Studentised residuals have unit variance; 24000 rows, correlated within an epoch: 5 sigma of 2000 x 8.
+    assert abs((out.v_code[used] ** 2 / out.s_code[used]).mean() - 1.0) < 0.056
