@@ -71,6 +71,17 @@ def C_ne_enu(lat: float, lon: float) -> FloatArray:
     return np.array([[-so, co, 0.0], [-sl * co, -sl * so, cl], [cl * co, cl * so, sl]])
 
 
+def rotations_ne_enu(lat: ArrayLike, lon: ArrayLike) -> FloatArray:
+    """Rotations (n, 3, 3) from ECEF to local east-north-up at n latitudes and longitudes (rad)."""
+    sl, cl = np.sin(np.asarray(lat)), np.cos(np.asarray(lat))
+    so, co = np.sin(np.asarray(lon)), np.cos(np.asarray(lon))
+    C = np.zeros((*np.shape(sl), 3, 3))
+    C[..., 0, 0], C[..., 0, 1] = -so, co
+    C[..., 1, 0], C[..., 1, 1], C[..., 1, 2] = -sl * co, -sl * so, cl
+    C[..., 2, 0], C[..., 2, 1], C[..., 2, 2] = cl * co, cl * so, sl
+    return C
+
+
 def C_ne_ned(lat: float, lon: float) -> FloatArray:
     """Rotation (3, 3) from ECEF to local north-east-down (Groves 2.150) at a latitude and longitude (rad)."""
     enu = C_ne_enu(lat, lon)
