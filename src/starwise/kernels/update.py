@@ -1,0 +1,331 @@
+"""Measurement updates of a satellite filter: one satellite at a time, and all satellites at once.
+
+Both take the same rows: satellite k gives a pseudorange, and a pseudorange rate unless its variance is not finite,
+
+    code  h = -u' pos + clk        four non-zeros, at 0..2 and ``ic[k]``
+    rate  h = -u' vel + drift      four non-zeros, at 3..5 and ``idr[k]``; only drift for a static receiver
+
+with errors that are independent between satellites (R block-diagonal: the condition of sequential processing). Both
+decide row by row, in the order given, on the innovation *conditioned on the satellites accepted before*:
+
+    nis_k = [v_c v_r] S_k^-1 [v_c v_r]'    against a chi-square threshold with 2 degrees of freedom.
+
+In the sequential form that is the innovation at hand; in the batch form it is the block of L^-1 v that belongs to the
+satellite, where L is the Cholesky factor of S grown satellite by satellite (a rejected one is never appended).
+So they take the same decisions and give the same x, P and sum of NIS.
+
+If the pair fails together, the rate is tried alone, then the code alone (1 degree of freedom): multipath spoils the
+code of a satellite far more often than its Doppler shift.
+
+P is stored in full and leaves every update exactly symmetric.
+
+Sources: Groves (2013) 3.2.2 and 3.2.7 (sequential processing), 17.3 (innovation filtering); Bierman (1977)
+"Factorization methods for discrete sequential estimation", ch. II.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starwise.kernels._jit import njit
+
+F8 = NDArray[np.float64]
+I8 = NDArray[np.int64]
+U1 = NDArray[np.uint8]
+
+USED_NONE = 0
+USED_CODE = 1
+USED_RATE = 2
+USED_BOTH = 3
+
+
+@njit
+def update_satellite(
+    x: F8, P: F8, n: int, moving: bool, ic: int, idr: int, ux: float, uy: float, uz: float,
+    v1: float, v2: float, r1: float, r2: float, gate1: float, gate2: float, a: F8, b: F8,
+) -> tuple[int, float, float, float]:  # fmt: skip
+    """Update of state and covariance with one satellite (eq. 5c of the S3EKF paper), in place.
+
+    The lower triangle of P is what counts; call `mirror` after the last satellite of an epoch (inside an epoch both
+    triangles are carried, equal to the last bit or two).
+
+    Parameters
+    ----------
+    x : (>= n,)
+        State, in place.
+    P : (>= n, >= n)
+        Its covariance, in place.
+    n : int
+        Number of states.
+    moving : bool
+        The state has velocities at 3..5.
+    ic, idr : int
+        Index of the clock bias and drift of the satellite's system.
+    ux, uy, uz : float
+        Unit vector from receiver to satellite.
+    v1, v2 : float
+        Innovations of code (m) and rate (m/s) at ``x``.
+    r1, r2 : float
+        Variances; the rate is ignored if r2 is inf.
+    gate1, gate2 : float
+        Chi-square thresholds for 1 and 2 degrees of freedom; inf: no gate.
+    a, b : (>= n,)
+        Work space.
+
+    Returns
+    -------
+    used : int
+        ``USED_*``.
+    nis : float
+        Of the rows used.
+    s11, s22 : float
+        Innovation variances; s22 is NaN without a rate.
+    """
+    paired = r2 < np.inf
+    if moving:
+        for i in range(n):
+            a[i] = P[ic, i] - ux * P[0, i] - uy * P[1, i] - uz * P[2, i]  # P h, code
+            b[i] = P[idr, i] - ux * P[3, i] - uy * P[4, i] - uz * P[5, i]  # P h, rate
+        s21 = a[idr] - ux * a[3] - uy * a[4] - uz * a[5]
+        s22 = b[idr] - ux * b[3] - uy * b[4] - uz * b[5] + r2
+    else:
+        for i in range(n):
+            a[i] = P[ic, i] - ux * P[0, i] - uy * P[1, i] - uz * P[2, i]
+            b[i] = P[idr, i]
+        s21 = a[idr]
+        s22 = b[idr] + r2
+    s11 = a[ic] - ux * a[0] - uy * a[1] - uz * a[2] + r1
+    # M = S^-1, y = M v; a row that is not used has zeros in M.
+    m11, m21, m22 = 1.0 / s11, 0.0, 0.0
+    if paired:
+        det = 1.0 / (s11 * s22 - s21 * s21)
+        m11, m21, m22 = s22 * det, -s21 * det, s11 * det
+        y1, y2 = m11 * v1 + m21 * v2, m21 * v1 + m22 * v2
+        nis = v1 * y1 + v2 * y2
+        used = USED_BOTH
+        if not nis <= gate2:
+            y1, m11, m21 = 0.0, 0.0, 0.0
+            m22 = 1.0 / s22
+            y2 = m22 * v2
+            nis = y2 * v2
+            used = USED_RATE
+            if not nis <= gate1:
+                y2, m22 = 0.0, 0.0
+                m11 = 1.0 / s11
+                y1 = m11 * v1
+                nis = y1 * v1
+                used = USED_CODE
+    else:
+        s22 = np.nan
+        y1, y2 = m11 * v1, 0.0
+        nis = y1 * v1
+        used = USED_CODE
+    if used == USED_CODE and not nis <= gate1:
+        return USED_NONE, 0.0, s11, s22
+    for i in range(n):
+        ai, bi = a[i], b[i]
+        x[i] += ai * y1 + bi * y2
+        ka = m11 * ai + m21 * bi  # the gain: column i of K'
+        kb = m21 * ai + m22 * bi
+        for j in range(n):
+            P[i, j] -= ka * a[j] + kb * b[j]
+    return used, nis, s11, s22
+
+
+@njit
+def mirror(P: F8, n: int) -> None:
+    """Copy the lower triangle of the leading n x n block to the upper: exact symmetry."""
+    for i in range(1, n):
+        for j in range(i):
+            P[j, i] = P[i, j]
+
+
+@njit
+def decide(v1: float, v2: float, s11: float, s21: float, s22: float, paired: bool, gate1: float, gate2: float) -> int:
+    """Which rows of a satellite `update_satellite` would use: ``USED_*``; the same rule for the batch form."""
+    if paired:
+        det = s11 * s22 - s21 * s21
+        if v1 * v1 * s22 - 2.0 * v1 * v2 * s21 + v2 * v2 * s11 <= gate2 * det:
+            return USED_BOTH
+        if v2 * v2 <= gate1 * s22:
+            return USED_RATE
+    return USED_CODE if v1 * v1 <= gate1 * s11 else USED_NONE
+
+
+@njit
+def update_sequential(
+    x: F8, P: F8, n: int, moving: bool, ic: I8, idr: I8, u: F8, v: F8, r: F8, m: int, gate1: float, gate2: float,
+    v_out: F8, s_out: F8, used: U1,
+) -> tuple[float, int]:  # fmt: skip
+    """Update with m satellites one after another, rows linear in the state; x and P in place.
+
+    Parameters
+    ----------
+    x : (>= n,)
+        Deviation from the state at which the rows were linearised: zeros, usually.
+    P : (>= n, >= n)
+        Covariance.
+    n, moving
+        See `update_satellite`.
+    ic, idr : (>= m,) int64
+    u : (>= m, 3)
+        Unit vectors receiver to satellite.
+    v, r : (>= m, 2)
+        Innovations at x = 0 and variances, code and rate (r = inf: no rate).
+    m : int
+        Number of satellites.
+    gate1, gate2 : float
+        See `decide`.
+    v_out, s_out : (>= m, 2)
+        Out: innovations and their variances at the moment when the satellite was processed.
+    used : (>= m,) uint8
+        Out: ``USED_*``.
+
+    Returns
+    -------
+    nis : float
+        Sum over the used rows.
+    dof : int
+        Their number.
+    """
+    a = np.empty(n)
+    b = np.empty(n)
+    nis, dof = 0.0, 0
+    for k in range(m):
+        c, d = ic[k], idr[k]
+        ux, uy, uz = u[k, 0], u[k, 1], u[k, 2]
+        v1 = v[k, 0] - (x[c] - ux * x[0] - uy * x[1] - uz * x[2])
+        v2 = v[k, 1] - x[d]
+        if moving:
+            v2 += ux * x[3] + uy * x[4] + uz * x[5]
+        bits, q, s11, s22 = update_satellite(
+            x, P, n, moving, c, d, ux, uy, uz, v1, v2, r[k, 0], r[k, 1], gate1, gate2, a, b
+        )
+        v_out[k, 0], v_out[k, 1] = v1, v2
+        s_out[k, 0], s_out[k, 1] = s11, s22
+        used[k] = bits
+        nis += q
+        dof += (bits & 1) + (bits >> 1)
+    mirror(P, n)
+    return nis, dof
+
+
+@njit
+def _grow(
+    PH: F8, L: F8, y: F8, h: F8, at: I8, nh: int, value: float, r: float, k: int, others: int
+) -> tuple[float, float]:
+    """Row k of the factor of S for one measurement, given rows 0..others-1; returns conditional v and s.
+
+    ``h`` holds the nh non-zeros of the row at the state indices ``at``; ``PH[i]`` is P h of the accepted row i
+    (and ``PH[k]`` of this one). S[k, i] = h . PH[i]; L[k, i] = (S[k, i] - L[k, :i] . L[i, :i]) / L[i, i], with
+    1 / L[i, i] kept on the diagonal.
+    """
+    s = r
+    for q in range(nh):
+        s += h[q] * PH[k, at[q]]
+    for i in range(others):
+        t = 0.0
+        for q in range(nh):
+            t += h[q] * PH[i, at[q]]
+        for j in range(i):
+            t -= L[k, j] * L[i, j]
+        L[k, i] = t * L[i, i]
+    for i in range(others):
+        value -= L[k, i] * y[i]
+        s -= L[k, i] * L[k, i]
+    return value, s
+
+
+@njit
+def update_batch(
+    x: F8, P: F8, n: int, moving: bool, ic: I8, idr: I8, u: F8, v: F8, r: F8, m: int, gate1: float, gate2: float,
+    v_out: F8, s_out: F8, used: U1,
+) -> tuple[float, int]:  # fmt: skip
+    """Update with m satellites at once by the Cholesky factor of S = H P H' + R; arguments as `update_sequential`.
+
+    K = P H' S^-1 is never formed: with S = L L', W = L^-1 H P and y = L^-1 v,  x += W' y  and  P -= W' W.
+    """
+    PH = np.empty((2 * m + 2, n))
+    L = np.empty((2 * m + 2, 2 * m + 2))
+    y = np.empty(2 * m + 2)
+    h = np.empty(4)
+    at_c = np.array([0, 1, 2, 0])
+    at_d = np.array([3, 4, 5, 0])
+    rows, nis, dof = 0, 0.0, 0
+    for k in range(m):
+        c, d = ic[k], idr[k]
+        ux, uy, uz = u[k, 0], u[k, 1], u[k, 2]
+        h[0], h[1], h[2], h[3] = -ux, -uy, -uz, 1.0
+        paired = r[k, 1] < np.inf
+        at_c[3] = c
+        v0 = v[k, 0] - (x[c] - ux * x[0] - uy * x[1] - uz * x[2])
+        for i in range(n):
+            PH[rows, i] = P[c, i] - ux * P[0, i] - uy * P[1, i] - uz * P[2, i]
+        v1, s11 = _grow(PH, L, y, h, at_c, 4, v0, r[k, 0], rows, rows)
+        i1 = 1.0 / math.sqrt(s11)
+        v2, s22, s21 = np.nan, np.nan, 0.0
+        if paired:
+            w = v[k, 1] - x[d]
+            if moving:
+                at_d[3] = d
+                w += ux * x[3] + uy * x[4] + uz * x[5]
+                for i in range(n):
+                    PH[rows + 1, i] = P[d, i] - ux * P[3, i] - uy * P[4, i] - uz * P[5, i]
+                v2, s22 = _grow(PH, L, y, h, at_d, 4, w, r[k, 1], rows + 1, rows)
+                s21 = PH[rows, d] - ux * PH[rows, 3] - uy * PH[rows, 4] - uz * PH[rows, 5]
+            else:
+                at_d[0] = d
+                for i in range(n):
+                    PH[rows + 1, i] = P[d, i]
+                v2, s22 = _grow(PH, L, y, h[3:], at_d, 1, w, r[k, 1], rows + 1, rows)
+                s21 = PH[rows, d]
+            for j in range(rows):
+                s21 -= L[rows, j] * L[rows + 1, j]
+        v_out[k, 0], v_out[k, 1] = v1, v2
+        s_out[k, 0], s_out[k, 1] = s11, s22
+        bits = decide(v1, v2, s11, s21, s22, paired, gate1, gate2)
+        used[k] = bits
+        if bits == USED_NONE:
+            continue
+        if bits == USED_RATE:
+            for i in range(n):
+                PH[rows, i] = PH[rows + 1, i]
+            for j in range(rows):
+                L[rows, j] = L[rows + 1, j]
+            i1, v1 = 1.0 / math.sqrt(s22), v2
+        L[rows, rows] = i1
+        y[rows] = v1 * i1
+        if bits == USED_BOTH:
+            l21 = s21 * i1
+            i2 = 1.0 / math.sqrt(s22 - l21 * l21)
+            L[rows + 1, rows] = l21
+            L[rows + 1, rows + 1] = i2
+            y[rows + 1] = (v2 - l21 * y[rows]) * i2
+            rows += 1
+        rows += 1
+    # W = L^-1 (H P), row by row in place.
+    for k in range(rows):
+        for j in range(k):
+            t = L[k, j]
+            for i in range(n):
+                PH[k, i] -= t * PH[j, i]
+        t = L[k, k]
+        for i in range(n):
+            PH[k, i] *= t
+    for k in range(rows):
+        nis += y[k] * y[k]
+        dof += 1
+        for i in range(n):
+            x[i] += PH[k, i] * y[k]
+    if rows % 2 == 1:
+        for i in range(n):
+            PH[rows, i] = 0.0
+    for k in range(0, rows, 2):
+        for i in range(n):
+            ai, bi = PH[k, i], PH[k + 1, i]
+            for j in range(i + 1):
+                p = P[i, j] - (ai * PH[k, j] + bi * PH[k + 1, j])
+                P[i, j] = p
+                P[j, i] = p
+    return nis, dof
