@@ -333,9 +333,7 @@ def _with_line(error: StarwiseError, path: Path) -> StarwiseError:
     key = re.search(r"'([\w.]+)'", error.message)
     name = (key.group(1) if key else error.found or "").rpartition(".")[2]
     lines = path.read_text(encoding="utf-8").splitlines()
-    at = [
-        i for i, text in enumerate(lines, 1) if name and re.match(rf"\s*\[?['\"]?{re.escape(name)}\b", text)
-    ]
+    at = [i for i, text in enumerate(lines, 1) if name and re.match(rf"\s*\[?['\"]?{re.escape(name)}\b", text)]
     return StarwiseError(
         error.message,
         file=error.file,

@@ -186,7 +186,7 @@ class Observations:
 
 @dataclass(frozen=True)
 class IonosphereModel:
-    """Broadcast ionosphere coefficients. Klobuchar: 4 alpha and 4 beta (s, s/semicircle, ...), IS-GPS-200N 20.3.3.5.2.5.
+    """Broadcast ionosphere coefficients. Klobuchar: 4 alpha, 4 beta (s, s/semicircle ...), IS-GPS-200N 20.3.3.5.2.5.
 
     ``klobuchar[system letter]`` is an (8,) array alpha0..3, beta0..3; ``nequick`` is (ai0, ai1, ai2) of Galileo;
     both may be empty. Where several sets were broadcast, ``history`` keeps (t_ns, system letter, values) in time order.
@@ -631,4 +631,26 @@ class Solution:
     @property
     def has_position(self) -> NDArray[np.bool_]:
         """Epochs with a position, whatever its status."""
-        return np.isfinite(self.pos_e).all(axis=1)
+        return np.asarray(np.isfinite(self.pos_e).all(axis=1))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Where the antenna really was: one point, or a trajectory.
+
+    Attributes
+    ----------
+    pos_e : (3,) or (n, 3) float64
+        ECEF, m.
+    t_ns : (n,) int64 or None
+        GPST, ns, increasing; None for one point.
+    source : str
+        Where it came from, for people.
+    vel_e : (n, 3) float64 or None
+        ECEF, m/s, where known.
+    """
+
+    pos_e: F8
+    t_ns: I8 | None = None
+    source: str = ""
+    vel_e: F8 | None = None

@@ -98,9 +98,7 @@ def _labels(t_ns: NDArray[np.int64], decimals: int) -> list[str]:
 
 def _deviations(cov: F8) -> F8:
     """Standard deviations n e u and signed roots ne eu un, (n, 6), of ENU covariances (n, 3, 3)."""
-    picked = np.stack(
-        [cov[:, 1, 1], cov[:, 0, 0], cov[:, 2, 2], cov[:, 0, 1], cov[:, 0, 2], cov[:, 1, 2]], axis=1
-    )
+    picked = np.stack([cov[:, 1, 1], cov[:, 0, 0], cov[:, 2, 2], cov[:, 0, 1], cov[:, 0, 2], cov[:, 1, 2]], axis=1)
     return np.asarray(np.sign(picked) * np.sqrt(np.abs(picked)))
 
 
@@ -209,9 +207,7 @@ def _read_header(line: str, form: _Form, name: str, number: int) -> None:
             values = [float(v) for v in _NOT_NUMBER.sub(" ", line.split(":", 1)[1]).split()]
             form.ref_e = _reference(values)
         except (ValueError, IndexError):
-            raise StarwiseError(
-                "reference position not readable", file=name, line=number, found=line.strip()
-            ) from None
+            raise StarwiseError("reference position not readable", file=name, line=number, found=line.strip()) from None
 
 
 def _reference(values: list[float]) -> F8:

@@ -288,9 +288,7 @@ def _symmetric(table: "pl.DataFrame", pattern: str) -> NDArray[np.float64]:
     return cov
 
 
-def _solution_of(
-    table: "pl.DataFrame", ledger: dict[str, NDArray[Any]], provenance: dict[str, Any]
-) -> Solution:
+def _solution_of(table: "pl.DataFrame", ledger: dict[str, NDArray[Any]], provenance: dict[str, Any]) -> Solution:
     systems = tuple(name[6:-2] for name in table.columns if name.startswith("clock_") and name.endswith("_m"))
     if "status" not in table.columns or "t_gpst_ns" not in table.columns:
         raise KeyError("t_gpst_ns and status")
