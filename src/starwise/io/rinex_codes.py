@@ -53,23 +53,20 @@ class Field(NamedTuple):
 
 def _field2(code: str, system: str, declared: set[str]) -> Field:
     table = _RINEX2[system]
-    kind, band = code[0], code[1:2]
+    kind, band = code[:1], code[1:2]
+    if system == "C" and band in "12" and (band == "2") != ("C2" in declared):
+        return Field(-1)
     if kind in "CP":
-        if system == "C" and code == "C1" and "C2" in declared:
-            return Field(-1)
         return Field(0, table[code]) if code in table else Field(-1)
-    if kind not in "LDS" or not band:
+    if kind not in "LDS":
         return Field(-1)
-    order = ("P", "C") if band == "2" else ("C", "P")
-    if band == "1" and "CA" in declared:
-        order = ("P", "C")  # 2.12: L1 is the phase of P(Y), LA that of C/A
-    if system == "C" and band == "1" and "C2" in declared:
+    # 2.12: where CA is declared, L1 is the phase of P(Y) and LA that of C/A
+    order = "PC" if band == "2" or (band == "1" and "CA" in declared) else "CP"
+    known = [c + band for c in order if c + band in table]
+    present = [c for c in known if c in declared]
+    names = [table[c] for c in present or known[:1]]
+    if not names:
         return Field(-1)
-    known = [table[c + band] for c in order if c + band in table]
-    present = [table[c + band] for c in order if c + band in declared and c + band in table]
-    if not known:
-        return Field(-1)
-    names = present or known[:1] if band != "2" else present or known[-1:]
     return Field(KINDS.index(kind), names[0], names[1] if len(names) > 1 else "")
 
 

@@ -1,6 +1,6 @@
 """Reader of RINEX observation files (versions 2.0x, 2.1x, 3.0x, 4.0x), plain or packed, into `Observations`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +17,7 @@ from starwise.kernels import rinex_obs as kernel
 from starwise.types import I8, U1, Observations, Problem
 
 _WHAT: Final = {
-    kernel.BAD_EPOCH: "epoch record that cannot be read: skipped with its satellites",
+    kernel.BAD_EPOCH: "epoch record that cannot be read, or lines that belong to none: skipped",
     kernel.SAT_COUNT: "number of satellites differs from the epoch record: those present were read",
     kernel.JUNK_LINE: "line that is no record: skipped",
     kernel.UNDECLARED: "satellite of a system for which the header declares no signals: skipped",
@@ -26,6 +26,7 @@ _WHAT: Final = {
     kernel.CUT_LINE: "last line cut off within an epoch: its satellite dropped",
     kernel.SLIP_RECORDS: "cycle slip records (flag 6): skipped",
     kernel.LOST_EPOCH: "lines of an epoch do not fit its satellites: epoch dropped",
+    kernel.BAD_NAME: "satellite name that cannot be read: skipped",
     kernel.TOO_MANY: "more satellite lines than an epoch can have: skipped",
 }
 _FLAGS: Final = {2: "antenna moves", 3: "new site", 4: "header lines", 5: "external event"}
@@ -180,7 +181,7 @@ class _Body:
 
     def read(self) -> Observations:
         first = self.header
-        run: Any = kernel.read_body
+        run = _kernel(first)
         while True:
             ended = run(self.buf, self.layout, self.state, self.found, self.scratch, self.out)
             if ended == kernel.DONE:
@@ -192,7 +193,7 @@ class _Body:
                 self._event()
             else:
                 self._second_header()
-                run = kernel.read_body
+                run = _kernel(self.header)
         for what, text in _WHAT.items():
             count, pos = self.found[what]
             if count:
@@ -272,6 +273,15 @@ class _Body:
                 problems=self.problems.all(),
             )
         )
+
+
+def _kernel(header: Header) -> Callable[..., int]:
+    """The kernel for this version; that of version 2 is loaded only if it is needed."""
+    if header.version >= 3.0:
+        return kernel.read_body
+    from starwise.kernels.rinex_obs2 import read_body2
+
+    return read_body2
 
 
 def _to_gpst(label_ns: I8, system: str) -> I8:

@@ -34,7 +34,8 @@ CUT_LINE = 6
 SLIP_RECORDS = 7
 LOST_EPOCH = 8
 TOO_MANY = 9
-N_PROBLEMS = 10
+BAD_NAME = 10
+N_PROBLEMS = 11
 
 MAX_LINES = 1024  # satellite lines of one epoch: 7 systems x 99 numbers fit
 KIND_C, KIND_L, KIND_D, KIND_S = 0, 1, 2, 3
@@ -151,7 +152,7 @@ def is_version_line(buf: NDArray[np.uint8], start: int, end: int) -> bool:
 
 @njit
 def label_ns(
-    buf: NDArray[np.uint8], pos: int, year: int, month: int, day: int, hour: int, minute: int, sec: int
+    buf: NDArray[np.uint8], year: int, month: int, day: int, hour: int, minute: int, sec: int
 ) -> tuple[int, bool]:
     """Calendar label as ns since 1980-01-06, and whether it is one.
 
@@ -357,7 +358,7 @@ def epoch_record(buf: NDArray[np.uint8], pos: int, end: int, layout: Layout) -> 
     day, ok3 = parse_int(buf, pos + 10, pos + 12)
     hour, ok4 = parse_int(buf, pos + 13, pos + 15)
     minute, ok5 = parse_int(buf, pos + 16, pos + 18)
-    label, valid = label_ns(buf, pos, year, month, day, hour, minute, pos + 18)
+    label, valid = label_ns(buf, year, month, day, hour, minute, pos + 18)
     valid = valid and ok1 and ok2 and ok3 and ok4 and ok5
     clock, clock_ok = np.nan, True
     if end > pos + 41:
