@@ -160,7 +160,7 @@ MAX_ABS: Final[dict[int, tuple[str, float]]] = {
     K_OMEGA0: ("longitude of node", 6.4),  # some writers count from 0 to 2 pi
     K_OMEGA: ("argument of perigee", 6.4),
     K_M0: ("mean anomaly", 6.4),
-    K_DELTA_N: ("mean motion difference", 1.3e-8),  # 16 bits of 2^-43 semicircles/s
+    K_DELTA_N: ("mean motion difference", 1e-7),  # GPS 1.2e-8; NavIC has 22 bits of 2^-41 semicircles/s and uses 2e-8
     K_OMEGA_DOT: ("rate of node", 1e-6),
     K_IDOT: ("rate of inclination", 3e-9),  # 14 bits of 2^-43 semicircles/s
     K_CUC: ("Cuc", 1e-3),
@@ -170,7 +170,7 @@ MAX_ABS: Final[dict[int, tuple[str, float]]] = {
     K_CRC: ("Crc", 33_000.0),
     K_CRS: ("Crs", 33_000.0),
     K_A_DOT: ("rate of semi-major axis", 17.0),
-    K_DELTA_N_DOT: ("rate of mean motion difference", 6e-13),
+    K_DELTA_N_DOT: ("rate of mean motion difference", 1e-10),  # CNAV: 23 bits of 2^-57 semicircles/s^2
 }
 ESSENTIAL: Final = (*ORBIT, K_TOE_SOW)
 """Columns that may not be blank."""

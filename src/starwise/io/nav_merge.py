@@ -26,8 +26,9 @@ def merge(records: Records) -> tuple[Records, int, NDArray[np.intp]]:
 
     Two records are *the same* when satellite, message, toc, toe, issue of data, health and all numbers agree: the one
     transmitted first is kept. They *contradict* each other when all but the numbers agree: the numbers that most
-    copies have are kept, among equals those read first (one of them was damaged on its way; nothing says which).
-    Records that differ in health or issue of data are different messages, and stay.
+    copies have are kept, among equals those transmitted last (Galileo receivers join a new orbit with group delays
+    that they have not received anew yet), then those read first. Records that differ in health or issue of data are
+    different messages, and stay.
 
     Returns
     -------
@@ -85,6 +86,6 @@ def _vote(r: Records, key: NDArray[np.intp], members: NDArray[np.intp]) -> tuple
                 break
         else:
             classes.append([int(m)])
-    best = max(classes, key=lambda c: (len(c), -min(int(key[m]) for m in c)))
+    best = max(classes, key=lambda c: (len(c), max(int(r.t_tx_ns[key[m]]) for m in c), -min(int(key[m]) for m in c)))
     losers = [int(key[m]) for c in classes if c is not best for m in c]
     return best[0], len(best), losers

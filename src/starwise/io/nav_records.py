@@ -110,16 +110,17 @@ def keplerian(system: int, message: int, prn: I8, label: I8, line: I8, v: F8) ->
     toc_sow = label % (WEEK_S * NS) / NS  # weeks of every system start on Sunday 00:00 in its own scale
     sow = toc_sow.copy() if f.toe < 0 else v[:, f.toe]
     par[:, K_TOE_SOW] = sow
-    faults = _orbit_faults(system, par, v, f)
-    faults.append(("toe outside the week", ~((sow >= 0.0) & (sow < WEEK_S))))
-    toe = label + _wrapped_ns(sow - toc_sow, WEEK_S)
-    t_tx = toe + _since(v[:, f.t_tx], sow, WEEK_S, T_TX_WINDOW_S)
-    health, iode, iodc = (_integer(v, i) for i in (f.health, f.iode, f.iodc))
     source = _integer(v, f.source, 0) if f.source >= 0 else np.zeros(n, np.int32)
     codes = np.full(n, message, np.int8)
     if message == MSG_INAV and f.source >= 0:
         codes[_is_fnav(source)] = MSG_FNAV
     tgd[codes == MSG_FNAV, TGD_SECOND] = np.nan  # F/NAV has no BGD(E1, E5b); writers put 0 or the one of I/NAV
+    faults = _orbit_faults(system, par, v, f)
+    faults.append(("a group delay is not readable", np.isinf(tgd).any(axis=1)))
+    faults.append(("toe outside the week", ~((sow >= 0.0) & (sow < WEEK_S))))
+    toe = label + _wrapped_ns(sow - toc_sow, WEEK_S)
+    t_tx = toe + _since(v[:, f.t_tx], sow, WEEK_S, T_TX_WINDOW_S)
+    health, iode, iodc = (_integer(v, i) for i in (f.health, f.iode, f.iodc))
     records = Records(
         sv=(system << 8 | prn).astype(np.int16),
         message=codes,
@@ -215,7 +216,6 @@ def _orbit_faults(system: int, par: F8, v: F8, f: Fields) -> list[Fault]:
     others = [i for i in (f.t_tx, f.week, f.accuracy, f.accuracy_ned, f.iode, f.iodc, f.fit, f.source) if i >= 0]
     faults: list[Fault] = [
         ("a number is not readable", np.isinf(numbers).any(axis=1) | np.isinf(v[:, others]).any(axis=1)),
-        ("a group delay is not readable", np.isinf(v[:, list(f.tgd.values())]).any(axis=1)),
         ("a number is missing", np.isnan(numbers).any(axis=1)),
         ("eccentricity outside [0, 0.5)", ~((par[:, K_E] >= 0.0) & (par[:, K_E] < 0.5))),
     ]

@@ -7,10 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from starwise.constants import MESSAGE_NAMES, SYS_C, SYS_E, SYS_R, SYS_S, SYSTEMS
+from starwise.constants import MESSAGE_NAMES, SYS_C, SYS_E, SYS_J, SYS_R, SYS_S, SYSTEMS
 from starwise.errors import StarwiseError
 from starwise.gnsstime import label_to_gpst, leap_seconds
 from starwise.io.files import read_bytes
+from starwise.io.lines import line_starts
 from starwise.io.nav_header import NavHeader, ionosphere, parse_header
 from starwise.io.nav_merge import concatenate, merge, take
 from starwise.io.nav_records import Fault, Records, keplerian, tabulated
@@ -29,7 +30,7 @@ from starwise.kernels.rinex_nav import (
     REC_OK,
     parse_records,
 )
-from starwise.types import F8, I8, U1, BroadcastRecords, Problem
+from starwise.types import F8, I8, BroadcastRecords, Problem
 
 _STATE_TEXT: Final = {
     1: "satellite not readable",
@@ -73,8 +74,9 @@ def read_nav(*paths: str | Path) -> BroadcastRecords:
     """Broadcast navigation records of all systems out of one or more RINEX navigation files.
 
     RINEX 2.x (one system a file), 3.0x and 4.0x, plain or compressed. Several files are merged: identical
-    records are kept once, of contradictory ones the version that most copies have. Records that are damaged or make
-    no orbit are left out. All of it is counted in ``counts`` and, with file and line, in ``problems``.
+    records are kept once, of contradictory ones one version (see `starwise.io.nav_merge.merge`). Records
+    that are damaged or make no orbit are left out. All of it is counted in ``counts`` and, with file and
+    line, in ``problems``.
 
     What is decided where files are ambiguous:
 
@@ -105,7 +107,7 @@ def read_nav(*paths: str | Path) -> BroadcastRecords:
     merged, duplicates, losers = merge(records)
     for file in np.unique(records.file[losers]):
         lines = records.line[losers][records.file[losers] == file]
-        what = "a record contradicts other copies of itself: the version of most copies is kept"
+        what = "copies of a record contradict each other: one version kept, these left out"
         found = Problem(reading.files[file], int(lines.min()), what, len(lines))
         reading.problems[reading.files[file], what] = found
     reading.counts["duplicate"] = duplicates
@@ -151,8 +153,9 @@ def _read_file(path: str | Path, reading: _Reading) -> None:
         lines = _read_section(section, header, reading)
         line = header.first_line + lines
     if (len(reading.parts), len(reading.sent)) == before:
-        found = "; ".join(p.what for (f, _), p in reading.problems.items() if f == file)
-        raise StarwiseError("no usable navigation record", file=file, found=found or "nothing after the header")
+        first = next((p for (f, _), p in reading.problems.items() if f == file and "left out" in p.what), None)
+        why = f": {first.what}" if first else ""
+        raise StarwiseError(f"no usable navigation record{why}", file=file, line=first.line if first else None)
 
 
 def _header_starts(data: bytes) -> list[int]:
@@ -170,7 +173,7 @@ def _header_starts(data: bytes) -> list[int]:
 def _read_section(data: bytes, header: NavHeader, reading: _Reading) -> int:
     """Read the records after one header; returns the number of lines."""
     buf = np.frombuffer(data, dtype=np.uint8)[header.body :]
-    lines, first = _line_starts(buf)
+    lines, first = line_starts(buf)
     if header.version == 4:
         starting = first == ord(">")
     elif header.version == 3:
@@ -193,16 +196,6 @@ def _read_section(data: bytes, header: NavHeader, reading: _Reading) -> int:
     for row in np.flatnonzero(good & (table[:, C_KIND] == KIND_ION)):
         _ion_record(table[row], values[row], at_line[row : row + 1], reading)
     return len(first)
-
-
-def _line_starts(buf: U1) -> tuple[I8, U1]:
-    """Where lines start (and, last, one past the end of the final one), and the first byte of each."""
-    breaks = np.flatnonzero(buf == 10)
-    if len(buf) and (len(breaks) == 0 or breaks[-1] != len(buf) - 1):
-        breaks = np.append(breaks, len(buf))
-    lines = np.concatenate([[0], breaks + 1]).astype(np.int64)
-    first = buf[np.minimum(lines[:-1], max(len(buf) - 1, 0))]
-    return lines, first
 
 
 def _note_states(table: I8, at_line: I8, reading: _Reading) -> None:
@@ -274,6 +267,8 @@ def _ion_record(row: I8, v: F8, line: I8, reading: _Reading) -> None:
         letter, values = "B", v[:9]
     else:
         values = v[:8]
+        if system == SYS_J and v[8] == 1.0:  # QZSS: coefficients for the Japan area, not for everywhere
+            return
     if not np.isfinite(values).all():
         reading.problem("ION record not readable: left out", line, count_as="corrupt")
         return

@@ -46,7 +46,7 @@ N_COLUMNS = 7
 
 
 @njit
-def _system(letter: int) -> int:
+def system_index(letter: int) -> int:
     """Index of a system letter (bytes G R E C J I S), -1 if it is none."""
     if letter == 71:
         return SYS_G
@@ -143,7 +143,7 @@ def _orbit_lines(system: int, message: int) -> int:
 
 
 @njit
-def _label(year: int, month: int, day: int, hour: int, minute: int, second: float) -> tuple[int, bool]:
+def calendar_label(year: int, month: int, day: int, hour: int, minute: int, second: float) -> tuple[int, bool]:
     """Nanoseconds since 1980-01-06 00:00 of a calendar label, and whether it is one (1980 to 2199)."""
     if year < 1980 or year > 2199 or month < 1 or month > 12 or day < 1:
         return 0, False
@@ -183,11 +183,11 @@ def parse_epoch(buf: U1, at: int, end: int, version: int) -> tuple[int, bool]:
     second, ok5 = parse_float(buf, a, a + width)
     if not (ok0 and ok1 and ok2 and ok3 and ok4 and ok5):
         return 0, False
-    return _label(year, month, day, hour, minute, second)
+    return calendar_label(year, month, day, hour, minute, second)
 
 
 @njit
-def _trimmed(buf: U1, start: int, end: int) -> int:
+def trimmed(buf: U1, start: int, end: int) -> int:
     """End of a line without the blanks and carriage returns at its end; ``start`` if nothing is left."""
     while end > start and buf[end - 1] <= 32:
         end -= 1
@@ -242,7 +242,7 @@ def parse_records(buf: U1, lines: I8, records: I8, version: int, default_system:
     for r in range(len(records) - 1):
         line, stop = records[r], records[r + 1]
         at = lines[line]
-        end = _trimmed(buf, at, lines[line + 1] - 1)
+        end = trimmed(buf, at, lines[line + 1] - 1)
         table[r, :] = 0
         table[r, C_STATE] = REC_STRAY
         table[r, C_KIND] = KIND_EPH
@@ -263,7 +263,7 @@ def parse_records(buf: U1, lines: I8, records: I8, version: int, default_system:
             table[r, C_KIND] = kind
             if kind == KIND_OTHER:
                 continue
-            system = _system(buf[at + 6])
+            system = system_index(buf[at + 6])
             prn, ok = parse_int(buf, at + 7, min(at + 9, end))
             word = _word(buf, at + 10, end)
             message = _message(word)
@@ -272,15 +272,15 @@ def parse_records(buf: U1, lines: I8, records: I8, version: int, default_system:
                 table[r, C_STATE] = REC_SHORT
                 continue
             again = lines[line]
-            again_end = _trimmed(buf, again, lines[line + 1] - 1)
+            again_end = trimmed(buf, again, lines[line + 1] - 1)
             if kind == KIND_EPH:
                 prn2, ok2 = parse_int(buf, again + 1, min(again + 3, again_end))
-                ok = ok and ok2 and prn2 == prn and _system(buf[again]) == system
+                ok = ok and ok2 and prn2 == prn and system_index(buf[again]) == system
             else:
                 message = word  # LNAV, D1D2, IFNV, CNVX: the reader knows them by name
             at, end = again, again_end
         elif version == 3:
-            system = _system(buf[at])
+            system = system_index(buf[at])
             prn, ok = parse_int(buf, at + 1, min(at + 3, end))
         else:
             system = default_system
@@ -308,7 +308,7 @@ def parse_records(buf: U1, lines: I8, records: I8, version: int, default_system:
         # lines of the record that hold anything, and whether a blank one ends it
         filled, blank_tail, aligned = 0, 0, end <= at + first_column + 76
         for i in range(line + 1, stop):
-            b = _trimmed(buf, lines[i], lines[i + 1] - 1)
+            b = trimmed(buf, lines[i], lines[i + 1] - 1)
             if b == lines[i]:
                 blank_tail = 1
                 continue
@@ -329,7 +329,7 @@ def parse_records(buf: U1, lines: I8, records: I8, version: int, default_system:
             _numbers(buf, at, end, at + first_column + 19, values[r, :3])
             k = 3
             for i in range(line + 1, stop):
-                b = _trimmed(buf, lines[i], lines[i + 1] - 1)
+                b = trimmed(buf, lines[i], lines[i + 1] - 1)
                 if b > lines[i]:
                     _numbers(buf, lines[i], b, lines[i] + first_column, values[r, k : k + 4])
                     k += 4
