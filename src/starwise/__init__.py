@@ -1,3 +1,84 @@
-"""starwise: satellite and satellite/inertial navigation filters with a covariance one can believe."""
+"""starwise: satellite and satellite/inertial navigation filters with a covariance one can believe.
+
+The main entry points, imported when first used so that ``import starwise`` costs nothing:
+
+* `solve`: observation, navigation and orbit files in, a `Solution` out;
+* `assess`: errors of a solution against the truth;
+* `read_obs`, `read_nav`, `read_sp3`, `read_clk`, `read_pos`, `read_solution`, `read_truth`: files as nouns;
+* `write_results`: a solution as files;
+* `RunConfig`, `Solution`, `Observations`, `StarwiseError`: the nouns.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from starwise.api import assess, info, solve
+    from starwise.config import RunConfig, load_config
+    from starwise.errors import StarwiseError
+    from starwise.io.clk import read_clk
+    from starwise.io.pos import read_pos
+    from starwise.io.results import read_solution, write_results
+    from starwise.io.rinex_nav import read_nav
+    from starwise.io.rinex_obs import read_obs
+    from starwise.io.sp3 import read_sp3
+    from starwise.io.truth import read_truth
+    from starwise.types import BroadcastRecords, Observations, Solution, Truth
+
+_HOME = {
+    "solve": "api",
+    "assess": "api",
+    "info": "api",
+    "RunConfig": "config",
+    "load_config": "config",
+    "StarwiseError": "errors",
+    "read_obs": "io.rinex_obs",
+    "read_nav": "io.rinex_nav",
+    "read_sp3": "io.sp3",
+    "read_clk": "io.clk",
+    "read_pos": "io.pos",
+    "read_solution": "io.results",
+    "write_results": "io.results",
+    "read_truth": "io.truth",
+    "BroadcastRecords": "types",
+    "Observations": "types",
+    "Solution": "types",
+    "Truth": "types",
+}
+
+__all__ = [
+    "BroadcastRecords",
+    "Observations",
+    "RunConfig",
+    "Solution",
+    "StarwiseError",
+    "Truth",
+    "__version__",
+    "assess",
+    "info",
+    "load_config",
+    "read_clk",
+    "read_nav",
+    "read_obs",
+    "read_pos",
+    "read_solution",
+    "read_sp3",
+    "read_truth",
+    "solve",
+    "write_results",
+]
+
+
+def __getattr__(name: str) -> Any:
+    home = _HOME.get(name)
+    if home is None:
+        raise AttributeError(f"module 'starwise' has no attribute {name!r}")
+    value = getattr(import_module(f"starwise.{home}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

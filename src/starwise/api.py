@@ -1,0 +1,243 @@
+"""The whole job in one call: files in, nouns out. The command line is a thin layer over these functions."""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from starwise import __version__
+from starwise.analysis.accuracy import assess as assess_solution
+from starwise.analysis.accuracy import raised
+from starwise.config import RunConfig, load_config
+from starwise.errors import StarwiseError
+from starwise.io.inputs import Inputs, peek, sort_inputs
+from starwise.io.results import prepare_directory, read_solution, write_results
+from starwise.types import BroadcastRecords, Ephemeris, IonosphereModel, Observations, Problem, Solution, Truth
+
+PathLike = str | Path
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the fraction (0..1) of the whole that is."""
+
+
+def solve(
+    *files: PathLike,
+    ephemeris: PathLike | None = None,
+    clock: PathLike | None = None,
+    config: RunConfig | PathLike | None = None,
+    output: PathLike | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Solution:
+    """Position and velocity per epoch, with covariance, from the observations of one receiver.
+
+    Parameters
+    ----------
+    *files : path-like
+        RINEX observation files of one receiver, RINEX navigation files, SP3 and CLK files, in any order and however
+        compressed: what each is, is told by its content.
+    ephemeris, clock : path-like, optional
+        An SP3 file and a CLK file; the same as among ``files``.
+    config : RunConfig or path-like, optional
+        Configuration or a TOML file with one.
+    output : path-like, optional
+        Directory for `solution.parquet`, `ledger.parquet`, `solution.pos` and `run.json`.
+    progress : callable, optional
+    **options
+        Fields of `RunConfig` that override ``config``.
+
+    Returns
+    -------
+    Solution
+        ECEF, GPST, SI; with the ledger, and in ``provenance`` the version, the effective configuration, the inputs
+        with their SHA-256, their problems, and a summary.
+
+    Raises
+    ------
+    StarwiseError
+        A file or an option that cannot be used.
+    """
+    chosen = _config(config, options)
+    given = [*files, *(path for path in (ephemeris, clock) if path is not None)]
+    inputs = sort_inputs(tuple(given))
+    _check(inputs)
+    _check_kind(ephemeris, inputs.sp3, "SP3 orbits")
+    _check_kind(clock, inputs.clk, "RINEX clocks")
+    if output is not None:
+        prepare_directory(output)
+    say = progress or (lambda _what, _fraction: None)
+    with ThreadPoolExecutor(1) as pool:
+        records = pool.submit(_input_records, inputs)
+        solution = _solve(inputs, chosen, say, records)
+    if output is not None:
+        say("writing", 0.95)
+        write_results(solution, output)
+    say("done", 1.0)
+    return solution
+
+
+def _solve(inputs: Inputs, config: RunConfig, say: Progress, records: "Future[list[dict[str, Any]]]") -> Solution:
+    from starwise.estimators.run import solve_run
+    from starwise.io.rinex_obs import read_obs
+    from starwise.report.summary import summarise
+
+    say("reading", 0.0)
+    obs = read_obs(*inputs.obs)
+    ephemeris, ionosphere, problems = _ephemeris(inputs)
+    say("solving", 0.4)
+    solution = solve_run(obs, ephemeris, ionosphere, config, lambda what, part: say(what, 0.4 + 0.5 * part))
+    provenance: dict[str, Any] = {
+        "starwise": __version__,
+        "config": config.to_dict(),
+        "inputs": records.result(),
+        "station": _station(obs),
+        "problems": [_problem(p) for p in (*obs.problems, *problems)],
+        **solution.provenance,
+        "summary": summarise(solution),
+    }
+    return replace(solution, provenance=provenance)
+
+
+def _config(config: RunConfig | PathLike | None, options: Mapping[str, Any]) -> RunConfig:
+    if isinstance(config, RunConfig):
+        return config.with_options(options) if options else config
+    return load_config(config, options)
+
+
+def _check(inputs: Inputs) -> None:
+    if not inputs.obs:
+        raise StarwiseError("no observations", found=_names(inputs), wanted="a RINEX observation file")
+    if not inputs.nav and not inputs.sp3:
+        raise StarwiseError("no ephemeris", found=_names(inputs), wanted="a RINEX navigation file, or --ephemeris SP3")
+    if inputs.clk and not inputs.sp3:
+        raise StarwiseError("clocks without orbits", file=inputs.clk[0], wanted="an SP3 file with them")
+
+
+def _check_kind(path: PathLike | None, found: tuple[Path, ...], what: str) -> None:
+    if path is not None and Path(path) not in found:
+        raise StarwiseError("not what the option wants", file=str(path), found=peek(path).kind, wanted=what)
+
+
+def _names(inputs: Inputs) -> str:
+    return ", ".join(path.name for _, path in inputs.all) or "nothing"
+
+
+def _input_records(inputs: Inputs) -> list[dict[str, Any]]:
+    from starwise.io.files import sha256
+
+    return [
+        {"kind": kind, "path": str(path), "bytes": path.stat().st_size, "sha256": sha256(path)}
+        for kind, path in inputs.all
+    ]
+
+
+def _ephemeris(inputs: Inputs) -> tuple[Ephemeris, IonosphereModel, tuple[Problem, ...]]:
+    from starwise.physics.broadcast import BroadcastEphemeris
+
+    records: BroadcastRecords | None = None
+    if inputs.nav:
+        from starwise.io.rinex_nav import read_nav
+
+        records = read_nav(*inputs.nav)
+    broadcast = None if records is None else BroadcastEphemeris(records)
+    ionosphere = IonosphereModel() if records is None else records.ionosphere
+    problems = () if records is None else records.problems
+    if not inputs.sp3:
+        assert broadcast is not None
+        return broadcast, ionosphere, problems
+    from starwise.io.clk import read_clk
+    from starwise.io.sp3 import read_sp3
+    from starwise.physics.precise import PreciseEphemeris
+
+    orbits = read_sp3(*inputs.sp3)
+    clocks = read_clk(*inputs.clk) if inputs.clk else None
+    problems += orbits.problems + (() if clocks is None else clocks.problems)
+    return PreciseEphemeris(orbits, clocks, broadcast), ionosphere, problems
+
+
+def _station(obs: Observations) -> dict[str, Any]:
+    head = obs.header
+    return {
+        "marker": head.marker,
+        "receiver": head.receiver,
+        "antenna": head.antenna,
+        "rinex": head.version,
+        "approx_pos_e_m": None if head.approx_pos_e is None else list(head.approx_pos_e),
+        "antenna_height_east_north_m": list(head.antenna_hen),
+        "interval_s": head.interval_s,
+    }
+
+
+def _problem(problem: Problem) -> dict[str, Any]:
+    return {"file": problem.file, "line": problem.line, "what": problem.what, "count": problem.count}
+
+
+def assess(
+    solution: Solution | PathLike,
+    truth: Truth | str | Path | None = None,
+    *,
+    antenna_up_m: float = 0.0,
+    geoid_m: float | None = None,
+    tolerance_s: float = 0.05,
+    interpolate: bool = False,
+) -> dict[str, Any]:
+    """Errors of a solution against the truth, and whether its covariance tells them.
+
+    Parameters
+    ----------
+    solution : Solution or path-like
+        A solution, the directory of a result, or a position file (RTKLIB `.pos`, any of its formats).
+    truth : Truth, path-like or str, optional
+        A truth, its file, ``"X,Y,Z"`` (ECEF, m) or ``"lat,lon,h"`` (deg, m). Without it the errors are counted from
+        the solution's own median position: scatter, not accuracy.
+    antenna_up_m : float
+        Height of the antenna above the point that the truth is of, m.
+    geoid_m : float, optional
+        Geoid height above the ellipsoid, m, to be added to a position file's heights above the geoid.
+    tolerance_s, interpolate
+        Matching in time; see `starwise.analysis.accuracy.match`.
+
+    Returns
+    -------
+    dict
+        See `starwise.analysis.accuracy.assess`; ``docs/formats.md`` describes every key.
+
+    Raises
+    ------
+    StarwiseError
+        A file that cannot be read, or nothing to compare.
+    """
+    if not isinstance(solution, Solution):
+        solution = read_solution(solution, ledger=False)
+    if truth is not None and not isinstance(truth, Truth):
+        from starwise.io.truth import read_truth
+
+        truth = read_truth(str(truth))
+    vertical = solution.provenance.get("height") != "geodetic"
+    if geoid_m is not None:
+        if vertical:
+            raise StarwiseError("heights are ellipsoidal already; a geoid height is not to be added")
+        as_truth = Truth(solution.pos_e)
+        solution, vertical = replace(solution, pos_e=raised(as_truth, geoid_m).pos_e), True
+    if truth is not None:
+        truth = raised(truth, antenna_up_m)
+    report = assess_solution(
+        solution, truth, tolerance_s=tolerance_s, interpolate=interpolate, vertical=vertical or truth is None
+    )
+    notes = []
+    if not vertical and truth is not None:
+        notes.append("heights are above the geoid: nothing vertical is compared (give --geoid)")
+    return {**report, "notes": notes}
+
+
+def info(path: PathLike) -> dict[str, Any]:
+    """What is in a RINEX, SP3 or CLK file, a position file or a result, as a plain dictionary.
+
+    Raises
+    ------
+    StarwiseError
+        The file cannot be read.
+    """
+    from starwise.report.info import describe
+
+    return describe(Path(path))

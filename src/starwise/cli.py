@@ -1,0 +1,262 @@
+"""The command line: options in, text out. No algorithm here, and nothing heavy imported before it is needed."""
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from starwise.errors import StarwiseError
+
+app = typer.Typer(
+    name="starwise",
+    help="Satellite navigation: raw observations in, a trajectory out, with a covariance one can believe.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+
+
+def run(arguments: list[str]) -> int:
+    """Run the command line with its arguments; returns the exit code.
+
+    Raises
+    ------
+    StarwiseError
+        Bad input; `starwise.__main__` prints it.
+    """
+    command = typer.main.get_command(app)
+    try:
+        code = command.main(args=arguments or ["--help"], prog_name="starwise", standalone_mode=False)
+    except typer.Exit as leave:
+        return int(leave.exit_code)
+    except typer.Abort:
+        raise KeyboardInterrupt from None
+    except Exception as error:
+        # Usage errors are of a class that typer keeps to itself.
+        wording = getattr(error, "format_message", None)
+        if wording is None:
+            raise
+        raise StarwiseError(f"{wording()} (see starwise --help)") from None
+    return int(code) if isinstance(code, int) else 0
+
+
+@app.callback(invoke_without_command=True)
+def _main(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", "-V", help="Print the version.")] = False,
+) -> None:
+    if version:
+        from starwise import __version__
+
+        _print(f"starwise {__version__}")
+        raise typer.Exit
+
+
+@app.command()
+def solve(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="OBS NAV",
+            help="RINEX observations of one receiver and navigation files, in any order, however compressed; SP3 and "
+            "CLK files may stand here, too.",
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Directory for the results.")],
+    method: Annotated[str | None, typer.Option(metavar="lsq|ekf|s3ekf", help="Estimator; default s3ekf.")] = None,
+    systems: Annotated[str | None, typer.Option(metavar="LETTERS", help="Satellite systems; default GRECJ.")] = None,
+    mask: Annotated[float | None, typer.Option(metavar="DEG", help="Elevation mask; default 10.")] = None,
+    dynamics: Annotated[
+        str | None,
+        typer.Option(metavar="static|pedestrian|vehicle|aircraft", help="How the user moves; default vehicle."),
+    ] = None,
+    ephemeris: Annotated[Path | None, typer.Option(metavar="SP3", help="Precise orbits.")] = None,
+    clock: Annotated[Path | None, typer.Option(metavar="CLK", help="Precise clocks, with --ephemeris.")] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="T", help="First epoch: 2024-03-30T12:00:00 (GPST; with Z, UTC) or week:tow."),
+    ] = None,
+    end: Annotated[str | None, typer.Option(metavar="T", help="Last epoch.")] = None,
+    interval: Annotated[float | None, typer.Option(metavar="S", help="Only epochs on multiples of S seconds.")] = None,
+    combination: Annotated[
+        str | None, typer.Option(metavar="single|ionosphere_free", help="One frequency or two; default single.")
+    ] = None,
+    exclude: Annotated[
+        list[str] | None, typer.Option(metavar="SV", help="Satellite not to be used, like G05; repeatable.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="Configuration; options override it.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Any key of the configuration, like process.model=singer."),
+    ] = None,
+    as_json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Position and velocity per epoch out of RINEX observations and navigation files."""
+    began = time.perf_counter()
+    named = {
+        "method": method,
+        "systems": systems,
+        "mask_deg": mask,
+        "dynamics": dynamics,
+        "start": start,
+        "end": end,
+        "interval_s": interval,
+        "combination": combination,
+        "exclude": exclude or None,
+    }
+    options = {key: value for key, value in named.items() if value is not None}
+    options.update(_settings(settings or []))
+    from starwise import api
+    from starwise.config import load_config
+
+    chosen = load_config(config, options)
+    with _Progress(quiet or as_json) as progress:
+        solution = api.solve(*files, ephemeris=ephemeris, clock=clock, config=chosen, output=output, progress=progress)
+    if as_json:
+        _print_json({**solution.provenance, "directory": str(output)})
+    elif not quiet:
+        from starwise.report.text import solve_text
+
+        _print(solve_text(solution.provenance, output, time.perf_counter() - began))
+
+
+def _settings(pairs: list[str]) -> dict[str, Any]:
+    """Values of ``--set KEY=VALUE``: TOML values, or plain text where that is no TOML."""
+    import tomllib
+
+    options: dict[str, Any] = {}
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals or not key.strip():
+            raise StarwiseError("--set", found=pair, wanted="KEY=VALUE")
+        try:
+            options[key.strip()] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            options[key.strip()] = text.strip()
+    return options
+
+
+@app.command()
+def assess(
+    solutions: Annotated[
+        list[Path],
+        typer.Argument(metavar="DIR|FILE.pos", help="Results of solve, or RTKLIB position files of any format."),
+    ],
+    truth: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z|FILE",
+            help="ECEF metres, or lat,lon,height in degrees and metres, or a file: table, .pos, result.",
+        ),
+    ] = None,
+    antenna_up: Annotated[
+        float, typer.Option(metavar="M", help="Height of the antenna above the point that the truth is of.")
+    ] = 0.0,
+    geoid: Annotated[
+        float | None, typer.Option(metavar="M", help="Geoid height, for position files with heights above the geoid.")
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option(metavar="S", help="Greatest distance in time to a row of the truth.")
+    ] = 0.05,
+    interpolate: Annotated[bool, typer.Option("--interpolate", help="Interpolate the truth between its rows.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Errors against the truth, and whether the covariance tells them."""
+    from starwise import api
+
+    reports = {
+        str(path): api.assess(
+            path,
+            truth,
+            antenna_up_m=antenna_up,
+            geoid_m=geoid,
+            tolerance_s=tolerance,
+            interpolate=interpolate,
+        )
+        for path in solutions
+    }
+    if as_json:
+        _print_json(next(iter(reports.values())) if len(solutions) == 1 else reports)
+        return
+    from starwise.report.text import assess_text
+
+    _print("\n\n".join(assess_text(name, report) for name, report in reports.items()))
+
+
+@app.command()
+def info(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE", help="RINEX, SP3, CLK, .pos files or results.")],
+    as_json: Json = False,
+) -> None:
+    """What is in a file, in one screen."""
+    from starwise import api
+
+    described = {str(path): api.info(path) for path in files}
+    if as_json:
+        _print_json(next(iter(described.values())) if len(files) == 1 else described)
+        return
+    from starwise.report.text import info_text
+
+    _print("\n\n".join(info_text(name, item) for name, item in described.items()))
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Directory for the results.")] = Path(
+        "starwise-demo"
+    ),
+    as_json: Json = False,
+) -> None:
+    """The main job on data that ship with the package, judged against their truth."""
+    from starwise.demo import run_demo
+
+    with _Progress(as_json) as progress:
+        outcome = run_demo(output, progress)
+    if as_json:
+        _print_json(outcome.record)
+    else:
+        _print(outcome.text)
+
+
+class _Progress:
+    """Progress bar on the error stream if that is a terminal, else silence."""
+
+    def __init__(self, silent: bool) -> None:
+        self._bar: Any = None
+        if not silent and sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+            columns = (TextColumn("{task.description:12}"), BarColumn(), TimeElapsedColumn())
+            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task("", total=1.0)
+
+    def __enter__(self) -> Callable[[str, float], None]:
+        if self._bar is not None:
+            self._bar.start()
+        return self._say
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def _say(self, what: str, fraction: float) -> None:
+        if self._bar is not None:
+            self._bar.update(self._task, description=what, completed=fraction)
+
+
+def _print(text: str) -> None:
+    sys.stdout.write(text + "\n")
+
+
+def _print_json(value: Any) -> None:
+    sys.stdout.write(json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n")

@@ -1,0 +1,195 @@
+"""What the command line says to people, in at most 80 columns."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+WIDTH = 80
+SYSTEM_NAMES = {
+    "G": "GPS", "R": "GLONASS", "E": "Galileo", "C": "BeiDou", "J": "QZSS", "I": "NavIC", "S": "SBAS",
+}  # fmt: skip
+_WHY = {
+    "no_code": "pseudorange blank",
+    "bad_code": "pseudorange impossible",
+    "no_ephemeris": "no ephemeris",
+    "unhealthy": "marked unhealthy",
+    "ephemeris_too_old": "ephemeris out of date",
+    "bad_ephemeris": "ephemeris is no orbit",
+    "no_clock": "no satellite clock",
+    "inaccurate": "no accuracy promised",
+    "low_elevation": "below the elevation mask",
+    "low_cn0": "below the C/N0 limit",
+    "gated": "outside the filter's gate",
+    "excluded": "excluded as faulty",
+    "epoch_unsolved": "its epoch has no solution",
+    "no_pair": "second frequency missing",
+    "no_frequency": "carrier unknown",
+    "system_off": "system not asked for",
+    "excluded_by_user": "excluded by option",
+}
+
+
+def solve_text(provenance: Mapping[str, Any], directory: str | Path, elapsed_s: float) -> str:
+    """Screen after ``starwise solve``: what was read, used, refused and found, and where it is."""
+    config, summary = provenance["config"], provenance["summary"]
+    lines = [*_read_lines(provenance), ""]
+    lines += _field("method", f"{config['method']}, {config['dynamics']} dynamics, mask {config['mask_deg']:g} deg")
+    lines += _system_lines(summary)
+    lines += _refused_lines(summary)
+    lines += ["", *_result_lines(summary)]
+    lines += _notes(provenance)
+    lines += ["", *_field("results", f"{directory}/  solution.parquet ledger.parquet solution.pos run.json")]
+    lines += _field("time", f"{elapsed_s:.2f} s")
+    return "\n".join(lines)
+
+
+def _read_lines(provenance: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for item in provenance["inputs"]:
+        size = item["bytes"] / 1e6
+        lines += _field(item["kind"], f"{Path(item['path']).name} ({size:.1f} MB)")
+    station = provenance["station"]
+    what = [text for text in (station["marker"], station["receiver"], station["antenna"]) if text]
+    if what:
+        lines += _field("station", ", ".join(what))
+    summary = provenance["summary"]
+    if summary["epochs"]:
+        every = "" if summary["interval_s"] is None else f", every {summary['interval_s']:g} s"
+        lines += _field(
+            "epochs",
+            f"{summary['epochs']} from {summary['first_epoch_gpst']} to {summary['last_epoch_gpst']} GPST{every}",
+        )
+    return lines
+
+
+def _system_lines(summary: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for letter, item in summary.get("systems", {}).items():
+        if item["rows_used"]:
+            signals = ", ".join(f"{name} {_share(count, item['rows_used'])}" for name, count in item["signals"].items())
+            lines += _field(
+                SYSTEM_NAMES[letter],
+                f"{item['satellites_used']} of {item['satellites']} satellites used, on {signals}",
+            )
+        else:
+            lines += _field(SYSTEM_NAMES[letter], f"not used ({item['satellites']} satellites seen)")
+    return lines
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{100.0 * part / whole:.0f} %"
+
+
+def _refused_lines(summary: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for i, (name, count) in enumerate(list(summary.get("rows_refused", {}).items())[:6]):
+        worst = " ".join(summary["satellites_most_refused"].get(name, ()))
+        lines += _field("not used" if i == 0 else "", f"{count:8d}  {_WHY.get(name, name)}; most: {worst}")
+    return lines
+
+
+def _result_lines(summary: Mapping[str, Any]) -> list[str]:
+    status = summary["epochs_by_status"]
+    odd = ", ".join(f"{count} {name}" for name, count in status.items() if count and name not in ("ok", "none"))
+    solved, epochs = summary["epochs_solved"], summary["epochs"]
+    lines = _field("solved", f"{solved} of {epochs} epochs" + (f" ({odd})" if odd else ""))
+    if summary["mean_llh"] is None:
+        return lines
+    lat, lon, h = summary["mean_llh"]
+    lines += _field("mean", f"{lat:.7f} {lon:.7f} deg, {h:.2f} m above the ellipsoid")
+    e, n, u = summary["scatter_enu_m"]
+    lines += _field("scatter", f"{e:.2f} east, {n:.2f} north, {u:.2f} up, m (1 sigma about the mean)")
+    if summary["sigma_3d_mean_m"] is not None:
+        lines += _field("claimed", f"{summary['sigma_3d_mean_m']:.2f} m (1 sigma, 3D, mean of the covariances)")
+    if summary["speed_mean_mps"] is not None:
+        lines += _field("speed", f"{summary['speed_mean_mps']:.2f} m/s on average")
+    return lines
+
+
+def _notes(provenance: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for note in provenance.get("notes", ()):
+        lines += _field("note", str(note))
+    problems = sorted(provenance.get("problems", ()), key=lambda item: -item["count"])
+    for item in problems[:5]:
+        where = f"{Path(item['file']).name}:{item['line']}" if item["line"] else Path(item["file"]).name
+        lines += _field("problem", f"{item['what']} ({item['count']} x, first {where})")
+    if len(problems) > 5:
+        lines += _field("", f"and {len(problems) - 5} more kinds of problem in run.json")
+    return ["", *lines] if lines else []
+
+
+def assess_text(name: str, report: Mapping[str, Any]) -> str:
+    """Screen of ``starwise assess`` for one solution."""
+    reference = "the truth" if report["reference"] == "truth" else "the solution's own median: scatter, not accuracy"
+    lines = [name]
+    lines += _field("against", f"{reference} ({report['truth']})" if report["reference"] == "truth" else reference)
+    lines += _field(
+        "epochs",
+        f"{report['epochs']}, solved {report['epochs_solved']}, compared {report['epochs_compared']}, "
+        f"flagged {report['epochs_flagged']}",
+    )
+    lines += ["", f"{'':12}{'all solved':>14}{'not flagged':>14}{'flagged':>14}"]
+    columns: Sequence[Mapping[str, Any]] = (report, report["unflagged"], report["flagged"])
+    for key, label in (
+        ("mean_e_m", "mean east"),
+        ("mean_n_m", "mean north"),
+        ("mean_u_m", "mean up"),
+        ("rms_2d_m", "RMS 2D"),
+        ("rms_3d_m", "RMS 3D"),
+        ("p95_2d_m", "95 % 2D"),
+        ("p95_3d_m", "95 % 3D"),
+        ("sigma_3d_mean_m", "claimed 3D"),
+    ):
+        lines.append(f"{label:12}" + "".join(_cell(column[key], "m") for column in columns))
+    lines.append(f"{'NEES mean':12}" + "".join(_cell(column["nees_mean"], " ") for column in columns) + "  (3)")
+    lines.append(f"{'in 95 % ell.':12}" + "".join(_percent(column["coverage_95"]) for column in columns) + "  (95 %)")
+    for note in report.get("notes", ()):
+        lines += _field("note", note)
+    return "\n".join(lines)
+
+
+def _cell(value: float | None, unit: str) -> str:
+    return f"{'-':>12}  " if value is None else f"{value:12.3f} {unit}"
+
+
+def _percent(value: float | None) -> str:
+    return f"{'-':>12}  " if value is None else f"{100.0 * value:12.1f} %"
+
+
+def info_text(name: str, described: Mapping[str, Any]) -> str:
+    """Screen of ``starwise info`` for one file: keys and values, tables last."""
+    lines = [f"{name}: {described['what']}"]
+    for key, value in described.items():
+        if key in ("what", "kind", "file") or value in (None, "", [], {}):
+            continue
+        if isinstance(value, Mapping):
+            first = True
+            for inner, item in value.items():
+                lines += _field(key.replace("_", " ") if first else "", f"{inner}: {_value(item)}")
+                first = False
+        elif key == "problems":
+            for item in value:
+                lines += _field("problem", f"line {item['line']}: {item['what']} ({item['count']} x)")
+        else:
+            lines += _field(key.replace("_", " "), _value(value))
+    return "\n".join(lines)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.10g}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_value(item)}" for key, item in value.items())
+    if isinstance(value, list | tuple):
+        return " ".join(_value(item) for item in value)
+    return str(value)
+
+
+def _field(label: str, text: str) -> list[str]:
+    """A labelled line, wrapped to `WIDTH` under its own start; control characters never reach the terminal."""
+    import textwrap
+
+    clean = "".join(ch if ch.isprintable() else "?" for ch in text)
+    wrapped = textwrap.wrap(clean, WIDTH - 14, subsequent_indent="  ") or [""]
+    return [f"{label if i == 0 else '':<13} {part}" for i, part in enumerate(wrapped)]
