@@ -81,6 +81,10 @@ class Checked:
                     values[key] = _checked(value, hints[key], prefix + key)
             except StarwiseError as error:
                 raise _with_file(error, file) from None
+        for item in dataclasses.fields(cls):  # type: ignore[arg-type]
+            required = item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING
+            if required and item.name not in values:
+                raise StarwiseError(f"'{prefix}{item.name}' is missing", file=file)
         try:
             return cls(**values)
         except StarwiseError as error:
@@ -219,7 +223,7 @@ def load_config(path: str | Path | None = None, options: Mapping[str, Any] | Non
     """
     data: dict[str, Any] = {}
     if path is not None:
-        data = _read_toml(Path(path))
+        data = read_toml(Path(path))
         try:
             RunConfig.from_dict(data, file=str(path))
         except StarwiseError as error:
@@ -227,7 +231,8 @@ def load_config(path: str | Path | None = None, options: Mapping[str, Any] | Non
     return RunConfig.from_dict(_merged(data, _nested(options or {})))
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
+    """Contents of a TOML file; `StarwiseError` with the line where it cannot be read or is not TOML."""
     import tomllib
 
     try:
@@ -269,8 +274,9 @@ def _checked(value: Any, hint: Any, key: str) -> Any:
         return value
     if origin is tuple:
         if isinstance(value, str) or not isinstance(value, list | tuple):
-            raise StarwiseError(f"'{key}' is a list", found=str(value), wanted="a list of text")
-        return tuple(_checked(item, args[0], key) for item in value)
+            raise StarwiseError(f"'{key}' is a list", found=str(value), wanted="a list")
+        tables = _checked_class(args[0]) is not None
+        return tuple(_checked(v, args[0], f"{key}[{i}]" if tables else key) for i, v in enumerate(value, 1))
     if origin is dict:
         if not isinstance(value, Mapping):
             raise StarwiseError(f"'{key}' is a table", found=str(value), wanted="a table of lists")
@@ -279,6 +285,12 @@ def _checked(value: Any, hint: Any, key: str) -> Any:
 
 
 def _checked_plain(value: Any, hint: Any, key: str) -> Any:
+    inner = _checked_class(hint)
+    if inner is not None:
+        if isinstance(value, Mapping):
+            return inner.from_dict(value, prefix=f"{key}.")
+        if isinstance(value, inner):
+            return value
     if hint is float:
         if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
             return float(value)

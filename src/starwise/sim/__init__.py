@@ -1,0 +1,1 @@
+"""Truth in, measurements out: sky, vehicle, receiver, inertial sensors; never what a filter believes."""
