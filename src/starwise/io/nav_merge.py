@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 from numpy.typing import NDArray
 
-from starwise.io.nav_records import Records
+from starwise.io.nav_records import Mask, Records
 
 DIGITS = 1e-9
 """Relative difference below which two numbers are the same one written with fewer digits (12 of them or more)."""
@@ -40,44 +40,42 @@ def merge(records: Records) -> tuple[Records, int, NDArray[np.intp]]:
     """
     r = records
     key = np.lexsort((r.t_tx_ns, r.health, r.iode, r.toc_ns, r.message, r.toe_ns, r.sv))
-    same = np.ones(max(len(key) - 1, 0), dtype=bool)
+    starts = np.ones(len(key), dtype=bool)
     for name in ("sv", "toe_ns", "message", "toc_ns", "iode", "health"):
         column = getattr(r, name)[key]
-        same &= column[1:] == column[:-1]
-    group = np.concatenate([[0], np.cumsum(~same)]).astype(np.int64)[: len(key)]
-    keep = np.ones(len(key), dtype=bool)
-    first = np.flatnonzero(np.concatenate([[True], ~same])[: len(key)])  # start of every group, in key order
-    alike = _alike(r, key, key[first[group]]) if len(key) else np.zeros(0, dtype=bool)
-    starts = np.zeros(len(key), dtype=bool)
-    starts[first] = True
-    keep[alike & ~starts] = False
-    duplicates = int((~keep).sum())
+        starts[1:] &= column[1:] == column[:-1]
+    starts[1:] = ~starts[1:]
+    group = np.cumsum(starts) - 1
+    first = np.flatnonzero(starts)  # of every group of copies, in key order
+    copies = np.flatnonzero(~starts)
+    alike = np.ones(len(key), dtype=bool)
+    alike[copies] = _alike(r, key[copies], key[first[group[copies]]])
+    keep = starts.copy()
     contradicted: list[int] = []
     for g in np.unique(group[~alike]):
         members = np.flatnonzero(group == g)
-        winner, copies, losers = _vote(r, key, members)
+        winner, losers = _vote(r, key, members)
         keep[members] = False
         keep[winner] = True
-        duplicates += copies - 1 - int((alike[members] & ~starts[members]).sum())
         contradicted += losers
+    duplicates = len(key) - int(keep.sum()) - len(contradicted)
     order = key[keep]
     return take(records, order), duplicates, np.array(contradicted, dtype=np.intp)
 
 
-def _alike(r: Records, a: NDArray[np.intp], b: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _alike(r: Records, a: NDArray[np.intp], b: NDArray[np.intp]) -> Mask:
     """Whether the numbers of records ``a`` and ``b`` agree, row by row."""
-    good = _close(r.par[a], r.par[b]).all(axis=1) & _close(r.tgd[a], r.tgd[b]).all(axis=1)
-    return good & _close(r.accuracy_m[a], r.accuracy_m[b])
-
-
-def _close(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
+    rows_a = np.concatenate([r.par[a], r.tgd[a], r.accuracy_m[a, None]], axis=1)
+    rows_b = np.concatenate([r.par[b], r.tgd[b], r.accuracy_m[b, None]], axis=1)
     with np.errstate(invalid="ignore"):
-        near = np.abs(a - b) <= DIGITS * np.maximum(np.abs(a), np.abs(b))
-    return near | (a == b) | np.isnan(a) | np.isnan(b)  # a blank contradicts nothing
+        near = np.abs(rows_a - rows_b) <= DIGITS * np.maximum(np.abs(rows_a), np.abs(rows_b))
+    near |= (rows_a == rows_b) | np.isnan(rows_a) | np.isnan(rows_b)  # a blank contradicts nothing
+    together: Mask = np.logical_and.reduce(near, axis=1)
+    return together
 
 
-def _vote(r: Records, key: NDArray[np.intp], members: NDArray[np.intp]) -> tuple[int, int, list[int]]:
-    """Position of the winner of a group, copies of it, and the records that lose."""
+def _vote(r: Records, key: NDArray[np.intp], members: NDArray[np.intp]) -> tuple[int, list[int]]:
+    """Position of the winner of a group, and the records that lose."""
     classes: list[list[int]] = []
     for m in members:
         for c in classes:
@@ -88,4 +86,4 @@ def _vote(r: Records, key: NDArray[np.intp], members: NDArray[np.intp]) -> tuple
             classes.append([int(m)])
     best = max(classes, key=lambda c: (len(c), max(int(r.t_tx_ns[key[m]]) for m in c), -min(int(key[m]) for m in c)))
     losers = [int(key[m]) for c in classes if c is not best for m in c]
-    return best[0], len(best), losers
+    return best[0], losers

@@ -52,6 +52,9 @@ Mask = NDArray[np.bool_]
 
 T_TX_WINDOW_S: Final = DAY_S
 """A transmission time further than this from toe is not one (0.9999E9, or 0 for "unknown")."""
+TOE_WINDOW_S: Final = 4 * 3600
+"""Clock and orbit of a data set share their reference time, all but a few (IS-GPS-200N 20.3.4.5); with a clock
+further off than a fit interval one of the two is damaged."""
 FRAME_WINDOW_S: Final = 3600
 """The same for GLONASS and SBAS, whose messages are sent within half an hour of their epoch."""
 NO_PREDICTION_M: Final = 6144.0
@@ -119,6 +122,7 @@ def keplerian(system: int, message: int, prn: I8, label: I8, line: I8, v: F8) ->
     faults.append(("a group delay is not readable", np.isinf(tgd).any(axis=1)))
     faults.append(("toe outside the week", ~((sow >= 0.0) & (sow < WEEK_S))))
     toe = label + _wrapped_ns(sow - toc_sow, WEEK_S)
+    faults.append(("toe far from toc", np.abs(toe - label) > TOE_WINDOW_S * NS))
     t_tx = toe + _since(v[:, f.t_tx], sow, WEEK_S, T_TX_WINDOW_S)
     health, iode, iodc = (_integer(v, i) for i in (f.health, f.iode, f.iodc))
     records = Records(
@@ -145,7 +149,8 @@ def keplerian(system: int, message: int, prn: I8, label: I8, line: I8, v: F8) ->
 def _wrapped_ns(seconds: F8, period: int) -> I8:
     """Seconds folded to within half a period of zero, as ns; 0 where there is no number."""
     good = np.where(np.isfinite(seconds), seconds, 0.0)
-    return np.rint((good - period * np.rint(good / period)) * 1e3).astype(np.int64) * 1_000_000
+    folded: F8 = good - period * np.rint(good / period)
+    return np.rint(folded * 1e3).astype(np.int64) * 1_000_000
 
 
 def _since(t_tx: F8, reference: F8, period: int, window: int) -> I8:
@@ -170,7 +175,8 @@ def _is_fnav(source: I4) -> Mask:
     """F/NAV by the data sources of Galileo (RINEX 3.05 table A8): bit 1, without bits 0 and 2; else bit 8."""
     inav, fnav = (source & 0b101) != 0, (source & 0b10) != 0
     clock_e5a = (source & 0b1_0000_0000) != 0
-    return np.where(inav == fnav, clock_e5a, fnav).astype(bool)
+    by_bits: Mask = np.where(inav == fnav, clock_e5a, fnav)
+    return by_bits
 
 
 def _accuracy(system: int, v: F8, f: Fields) -> F8:
@@ -207,7 +213,8 @@ def _week_off(system: int, toe_label: I8, week: F8) -> Mask:
     agrees = difference <= 2.0
     if system == SYS_C:
         agrees |= np.mod(true - BDT_WEEK_OFFSET - given + 1.0, 1024.0) <= 2.0
-    return ~agrees & (given > 0.0)
+    off: Mask = ~agrees & (given > 0.0)
+    return off
 
 
 def _orbit_faults(system: int, par: F8, v: F8, f: Fields) -> list[Fault]:
@@ -240,14 +247,15 @@ def tabulated(system: int, prn: I8, label: I8, line: I8, v: F8) -> tuple[Records
         ("a number is not readable", np.isinf(essential).any(axis=1) | np.isinf(v[:, 2])),
         ("a number is missing", np.isnan(essential).any(axis=1)),
     ]
-    radius = np.sqrt((par[:, R_X : R_X + 3] ** 2).sum(axis=1))
-    speed = np.sqrt((par[:, R_VX : R_VX + 3] ** 2).sum(axis=1))
+    radius: F8 = np.sqrt((par[:, R_X : R_X + 3] ** 2).sum(axis=1))
+    speed: F8 = np.sqrt((par[:, R_VX : R_VX + 3] ** 2).sum(axis=1))
     # SBAS fields: 8 bits of 0.0000625 m/s^2 and more (RTCA DO-229 A.4.4.11)
     low, high, fastest, jolt = (20e6, 30e6, 5e3, 1e-3) if glonass else (38e6, 46e6, 4e3, 0.04)
+    steady: Mask = np.abs(par[:, R_AX : R_AX + 3]).max(axis=1) <= jolt
     faults += [
         ("position of no satellite", ~((radius >= low) & (radius <= high))),
         ("velocity of no satellite", ~(speed <= fastest)),
-        ("acceleration out of range", ~(np.abs(par[:, R_AX : R_AX + 3]) <= jolt).all(axis=1)),
+        ("acceleration out of range", ~steady),
         ("clock out of range", ~((np.abs(par[:, R_TAU]) <= 2.1e-3) & (np.abs(par[:, R_GAMMA]) <= 2e-9))),
     ]
     if glonass:

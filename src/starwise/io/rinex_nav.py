@@ -85,7 +85,8 @@ def read_nav(*paths: str | Path) -> BroadcastRecords:
       out, unless most of its system are like that: then the writer has a habit, which is noted.
     * A transmission time more than a day from toe (one hour, GLONASS and SBAS) is not one: toe is taken.
     * ``health`` is the broadcast word: GPS and QZSS 6 bits (QZSS: bit 5 is the L1 health that counts, bit 4 L1C/A,
-      3 L2C, 2 L5, 1 L1C, 0 L1C/B), Galileo DVS and HS of E1-B, E5a and E5b (RINEX 3.05 table A8), BeiDou SatH1.
+      3 L2C, 2 L5, 1 L1C, 0 L1C/B), Galileo DVS and HS of E1-B, E5a and E5b (RINEX 3.05 table A8), BeiDou SatH1;
+      CNAV: bit 2 L1, 1 L2, 0 L5; BDS CNV1 to 3: HS.
       0 is healthy everywhere. GLONASS: B_n, plus 8 for l_n and 16 for an unhealthy almanac flag.
     * ``accuracy_m``: URA in metres as written, 0 read as index 0 (2 m), above 6144 m as inf; SISA, negative as inf.
       CNAV indices by IS-GPS-200N 30.3.3.1.1.4. GLONASS: F_T where given. BDS-3 CNV1 to 3: NaN.
@@ -139,7 +140,7 @@ def _read_file(path: str | Path, reading: _Reading) -> None:
     file = str(path)
     data = read_bytes(Path(path))
     reading.files.append(file)
-    if not data.strip():
+    if not data[:4096].strip() and not data.strip():
         raise StarwiseError("the file is empty", file=file, wanted="a RINEX navigation file")
     starts = _header_starts(data)
     before = len(reading.parts), len(reading.sent)

@@ -104,7 +104,7 @@ def read_sp3(*paths: str | Path) -> PreciseOrbits:
 def _read_file(path: str | Path) -> _Rows:
     file = str(path)
     data = read_bytes(Path(path))
-    if not data.strip():
+    if not data[:4096].strip() and not data.strip():
         raise StarwiseError("the file is empty", file=file, wanted="an SP3 file")
     problems: list[Problem] = []
     if not data.rstrip().endswith(b"EOF"):
@@ -187,16 +187,16 @@ def _in_order(labels: I8) -> np.ndarray:
     tails: list[int] = []
     links: list[int] = []
     before = np.full(len(labels), -1)
-    for i in np.flatnonzero(good):
+    for i in np.flatnonzero(good).tolist():
         k = bisect_left(tails, int(labels[i]))
         before[i] = links[k - 1] if k else -1
         tails[k : k + 1] = [int(labels[i])]
-        links[k : k + 1] = [int(i)]
+        links[k : k + 1] = [i]
     chain = np.zeros(len(labels), dtype=bool)
-    i = links[-1] if links else -1
-    while i >= 0:
-        chain[i] = True
-        i = int(before[i])
+    at = links[-1] if links else -1
+    while at >= 0:
+        chain[at] = True
+        at = int(before[at])
     return chain
 
 

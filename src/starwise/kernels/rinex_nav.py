@@ -33,6 +33,8 @@ U1 = NDArray[np.uint8]
 I8 = NDArray[np.int64]
 F8 = NDArray[np.float64]
 
+_POW10 = 10.0 ** np.arange(23)  # exact in float64
+
 N_VALUES = 3 + 9 * 4
 """Three clock numbers of the first line, then four on each of at most nine orbit lines."""
 
@@ -206,12 +208,48 @@ def _aligned(buf: U1, start: int, end: int, first_column: int) -> bool:
 
 
 @njit
+def _number_e19(buf: U1, a: int) -> tuple[float, bool]:
+    """A number written as E19.12 at byte ``a``, the way nearly all are: sign, digit, point, 12 digits, exponent.
+
+    Anything else is not ok and left to `parse_float`. 13 digits and powers of ten to 22 are exact in a float64, so
+    that the one division or multiplication rounds correctly.
+    """
+    sign, mark, exponent_sign = buf[a], buf[a + 15], buf[a + 16]
+    if (sign != 32 and sign != 45) or buf[a + 2] != 46 or (mark | 32 != 101 and mark | 32 != 100):
+        return 0.0, False
+    mantissa = np.int64(buf[a + 1]) - 48
+    good = bool(0 <= mantissa <= 9)
+    for i in range(a + 3, a + 15):
+        digit = np.int64(buf[i]) - 48
+        good = good and bool(0 <= digit <= 9)
+        mantissa = mantissa * 10 + digit
+    tens, ones = np.int64(buf[a + 17]) - 48, np.int64(buf[a + 18]) - 48
+    good = good and bool(0 <= tens <= 9) and bool(0 <= ones <= 9)
+    scale = 10 * tens + ones
+    if exponent_sign == 45:
+        scale = -scale
+    elif exponent_sign != 43:
+        good = False
+    scale -= 12
+    if not good or scale < -22 or scale > 22:
+        return 0.0, False
+    value = float(mantissa)
+    value = value * _POW10[scale] if scale >= 0 else value / _POW10[-scale]
+    return (-value if sign == 45 else value), True
+
+
+@njit
 def _numbers(buf: U1, at: int, end: int, first: int, out: F8) -> None:
     """Fields of 19 columns from byte ``first``: NaN where blank, inf where they are not numbers."""
     for k in range(len(out)):
         a = first + 19 * k
         if a >= end:
             return
+        if a + 19 <= end:
+            value, ok = _number_e19(buf, a)
+            if ok:
+                out[k] = value
+                continue
         value, ok = parse_float(buf, a, min(a + 19, end))
         out[k] = value if ok else np.inf
 

@@ -1,14 +1,17 @@
 """Numbers out of fixed columns of text held as bytes. A blank field is NaN, a field that is not a number is a flag."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from starwise.kernels._jit import njit
+
+U1 = NDArray[np.uint8]
 
 _POW10 = 10.0 ** np.arange(23)  # exact in float64 up to 1e22
 
 
 @njit
-def parse_int(buf, start, end):
+def parse_int(buf: U1, start: int, end: int) -> tuple[int, bool]:
     """Integer in ``buf[start:end]`` (bytes), spaces around allowed. Returns value, ok; a blank field is not ok."""
     i = start
     while i < end and buf[i] == 32:
@@ -31,7 +34,7 @@ def parse_int(buf, start, end):
 
 
 @njit
-def parse_float(buf, start, end):
+def parse_float(buf: U1, start: int, end: int) -> tuple[float, bool]:
     """Real number in ``buf[start:end]`` (bytes): F, E and D formats. Returns value, ok.
 
     A blank field gives (NaN, True); text that is not a number (NaN, False). The mantissa is gathered as an integer
