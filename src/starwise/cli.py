@@ -200,13 +200,24 @@ def info(
     """What is in a file, in one screen."""
     from starwise import api
 
-    described = {str(path): api.info(path) for path in files}
-    if as_json:
-        _print_json(next(iter(described.values())) if len(files) == 1 else described)
-        return
     from starwise.report.text import info_text
 
-    _print("\n\n".join(info_text(name, item) for name, item in described.items()))
+    described: dict[str, Any] = {}
+    failed = 0
+    for path in files:
+        try:
+            described[str(path)] = api.info(path)
+        except StarwiseError as error:
+            # One bad file must not hide the others.
+            failed += 1
+            sys.stderr.write(f"starwise: error: {error}\n")
+            continue
+        if not as_json:
+            _print(("\n" if len(described) > 1 else "") + info_text(str(path), described[str(path)]))
+    if as_json and described:
+        _print_json(next(iter(described.values())) if len(files) == 1 else described)
+    if failed:
+        raise typer.Exit(2)
 
 
 @app.command()

@@ -318,6 +318,8 @@ def _positions(form: _Form, table: F8, name: str) -> tuple[F8, F8]:
     if form.coordinates == "xyz":
         return table[:, :3], np.broadcast_to(np.eye(3), (n, 3, 3))
     if form.coordinates == "enu":
+        if form.ref_e is None and n == 0:
+            return table[:, :3], np.empty((0, 3, 3))
         if form.ref_e is None:
             raise StarwiseError(
                 "a baseline without its reference position",

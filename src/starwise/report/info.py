@@ -90,18 +90,16 @@ def _by_system(sv: NDArray[np.int16]) -> dict[str, list[str]]:
     return names
 
 
-def _signals(obs: Observations) -> dict[str, dict[str, str]]:
-    """Per system and signal, how many satellites and epochs in the mean have a pseudorange, phase, Doppler."""
-    out: dict[str, dict[str, str]] = {}
+def _signals(obs: Observations) -> dict[str, dict[str, list[int]]]:
+    """Per system and signal, the number of rows with a pseudorange, a phase and a Doppler."""
+    out: dict[str, dict[str, list[int]]] = {}
     system = obs.sv >> 8
     for code in np.unique(system).tolist():
         for sig in np.unique(obs.sig[system == code]).tolist():
             rows = (system == code) & (obs.sig == sig)
-            parts = [
-                f"{letter}{np.count_nonzero(np.isfinite(values[rows]))}"
-                for letter, values in (("C", obs.code_m), ("L", obs.phase_cyc), ("D", obs.doppler_hz))
-            ]
-            out.setdefault(SYSTEMS[code], {})[signal_name(sig)] = "/".join(parts)
+            values = (obs.code_m[rows], obs.phase_cyc[rows], obs.doppler_hz[rows])
+            counts = [int(np.count_nonzero(np.isfinite(column))) for column in values]
+            out.setdefault(SYSTEMS[code], {})[signal_name(sig)] = counts
     return out
 
 
@@ -172,7 +170,7 @@ def _solution(path: Path, what: str) -> Described:
     from starwise.report.summary import summarise
 
     solution: Solution = read_solution(path)
-    form = {key: solution.provenance[key] for key in ("format", "coordinates", "time", "height", "quality")
-            if key in solution.provenance}  # fmt: skip
+    said = ("format", "coordinates", "time", "height", "quality")
+    form: Described = {key: solution.provenance[key] for key in said if key in solution.provenance}
     config = solution.provenance.get("config", {})
     return {"kind": "solution", "what": what, **form, "method": config.get("method"), **summarise(solution)}

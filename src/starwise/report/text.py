@@ -157,22 +157,47 @@ def _percent(value: float | None) -> str:
     return f"{'-':>12}  " if value is None else f"{100.0 * value:12.1f} %"
 
 
+_LABELS = {
+    "antenna_height_east_north_m": "antenna h e n",
+    "approximate_position": "position",
+    "first_gpst": "first (GPST)",
+    "last_gpst": "last (GPST)",
+    "first_epoch_gpst": "first (GPST)",
+    "last_epoch_gpst": "last (GPST)",
+    "unhealthy_at_some_time": "unhealthy",
+    "epochs_by_status": "status",
+    "mean_pos_e_m": "mean ECEF, m",
+    "mean_llh": "mean lat lon h",
+    "scatter_enu_m": "scatter e n u",
+    "sigma_3d_mean_m": "claimed 3D, m",
+    "speed_mean_mps": "speed, m/s",
+    "satellites_used_mean": "satellites",
+    "positions_missing": "no position",
+    "clocks_missing": "no clock",
+}
+_NOT_SHOWN = ("what", "kind", "file", "satellites_most_refused")
+
+
 def info_text(name: str, described: Mapping[str, Any]) -> str:
     """Screen of ``starwise info`` for one file: keys and values, tables last."""
     lines = [f"{name}: {described['what']}"]
     for key, value in described.items():
-        if key in ("what", "kind", "file") or value in (None, "", [], {}):
+        label = _LABELS.get(key, key.replace("_", " "))
+        if key in _NOT_SHOWN or value in (None, "", [], {}):
             continue
-        if isinstance(value, Mapping):
-            first = True
-            for inner, item in value.items():
-                lines += _field(key.replace("_", " ") if first else "", f"{inner}: {_value(item)}")
-                first = False
-        elif key == "problems":
+        if key == "problems":
             for item in value:
                 lines += _field("problem", f"line {item['line']}: {item['what']} ({item['count']} x)")
+        elif key == "signals":
+            lines += _field("signals", "rows with code, phase, Doppler")
+            for system, signals in value.items():
+                lines += _field("", f"{system}  " + "   ".join(f"{s} {_value(n)}" for s, n in signals.items()))
+        elif isinstance(value, Mapping) and any(isinstance(item, list | Mapping) for item in value.values()):
+            for i, (inner, item) in enumerate(value.items()):
+                count = f" ({len(item)})" if isinstance(item, list) and key == "satellites" else ""
+                lines += _field(label if i == 0 else "", f"{inner}{count}: {_value(item)}")
         else:
-            lines += _field(key.replace("_", " "), _value(value))
+            lines += _field(label, _value(value))
     return "\n".join(lines)
 
 
@@ -192,4 +217,4 @@ def _field(label: str, text: str) -> list[str]:
 
     clean = "".join(ch if ch.isprintable() else "?" for ch in text)
     wrapped = textwrap.wrap(clean, WIDTH - 14, subsequent_indent="  ") or [""]
-    return [f"{label if i == 0 else '':<13} {part}" for i, part in enumerate(wrapped)]
+    return [f"{label if i == 0 else '':<14}{part}" for i, part in enumerate(wrapped)]
