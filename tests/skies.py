@@ -19,7 +19,7 @@ def options(**changes: object) -> ModelOptions:
         cn0_min_dbhz=0.0,
         iono_model=np.zeros(N_SYSTEMS, dtype=np.int64),
         iono_coef=np.zeros((N_SYSTEMS, 8)),
-        troposphere_on=False,
+        troposphere=0,
         code_sigma=np.full(N_SYSTEMS, 0.4),
         rate_sigma=0.1,
         fixed_code_sigma_m=1.0,

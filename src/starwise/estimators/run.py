@@ -68,7 +68,7 @@ def solve_run(
         dop=ep.dop,
         nis=ep.nis,
         dof=ep.dof,
-        ledger=make_ledger(obs, prepared, ep, out),
+        ledger=make_ledger(obs, prepared, out),
         provenance={"notes": list(prepared.notes)},
     )
     say("done", 1.0)
@@ -83,16 +83,15 @@ def _estimate(prepared: Prepared, config: RunConfig) -> tuple[EpochOut, RowModel
     return run_filter(prepared, config)
 
 
-def make_ledger(
-    obs: Observations, prepared: Prepared, ep: EpochOut, out: RowModel
-) -> dict[str, NDArray[Any]]:
+def make_ledger(obs: Observations, prepared: Prepared, out: RowModel) -> dict[str, NDArray[Any]]:
     """Ledger: a row per (epoch, satellite, signal) of the observations, in their order.
 
     The row of the chosen signal carries the terms of the model; for it
 
         code = geometric + sagnac + receiver_clock - satellite_clock + group_delay + troposphere + ionosphere + innovation
 
-    to rounding, all in metres (for least squares the innovation is the residual). Rows of signals that were not chosen
+    to rounding, all in metres (for least squares the innovation is the residual; for filters the receiver clock is the
+    predicted one). A group delay that is not broadcast is NaN and counts as 0. Rows of signals that were not chosen
     have their status and NaN.
     """
     s, n = prepared.sightings, obs.n_rows
@@ -107,8 +106,8 @@ def make_ledger(
         result[at] = values
         return result
 
-    epoch = np.repeat(np.arange(obs.n_epochs), np.diff(s.offsets))
-    clock = ep.clock[epoch, prepared.rows.clock]
+    satellite_clock = C_LIGHT * prepared.states.clock_s
+    known = out.geometric + out.sagnac + out.troposphere + out.ionosphere - prepared.rows.clock_m
     sig2 = np.zeros(n, dtype=np.int16)
     sig2[at] = s.sig2
     rate_used = np.zeros(n, dtype=bool)
@@ -126,12 +125,12 @@ def make_ledger(
         "code_m": spread(s.code_m),
         "geometric_m": spread(out.geometric),
         "sagnac_m": spread(out.sagnac),
-        "satellite_clock_m": spread(C_LIGHT * prepared.states.clock_s),
+        "satellite_clock_m": spread(satellite_clock),
         "relativity_m": spread(C_LIGHT * prepared.states.relativity_s),
         "group_delay_m": spread(prepared.group_delay_m),
         "troposphere_m": spread(out.troposphere),
         "ionosphere_m": spread(out.ionosphere),
-        "receiver_clock_m": spread(clock),
+        "receiver_clock_m": spread(s.code_m - known - out.v_code),
         "innovation_m": spread(out.v_code),
         "innovation_var_m2": spread(out.s_code),
         "rate_innovation_mps": spread(out.v_rate),

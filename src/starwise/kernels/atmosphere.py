@@ -34,6 +34,23 @@ _NMF = np.array(
 )
 _NMF_HEIGHT = (2.53e-5, 5.49e-3, 1.14e-3)  # Niell (1996) table 3, height correction per km
 
+# RTCA DO-229E table A-2: average, then seasonal variation, of pressure (hPa), temperature (K), water vapour pressure
+# (hPa), temperature lapse rate (K/m) and water vapour lapse rate, at 15 30 45 60 75 deg.
+_MOPS = np.array(
+    [
+        [1013.25, 1017.25, 1015.75, 1011.75, 1013.00],
+        [299.65, 294.15, 283.15, 272.15, 263.65],
+        [26.31, 21.79, 11.66, 6.78, 4.11],
+        [6.30e-3, 6.05e-3, 5.58e-3, 5.39e-3, 4.53e-3],
+        [2.77, 3.15, 2.57, 1.81, 1.55],
+        [0.00, -3.75, -2.25, -1.75, -0.50],
+        [0.00, 7.00, 11.00, 15.00, 14.50],
+        [0.00, 8.85, 7.24, 5.36, 3.39],
+        [0.00e-3, 0.25e-3, 0.32e-3, 0.81e-3, 0.62e-3],
+        [0.00, 0.33, 0.46, 0.74, 0.30],
+    ]
+)
+
 MIN_EL_SAASTAMOINEN = math.radians(2.0)
 """Below this elevation 1 / sin(el) is no mapping function any more (57 at 1 deg; the atmosphere has 27)."""
 
@@ -211,11 +228,49 @@ def niell(lat: float, h: float, el: float, doy: float) -> tuple[float, float]:
 
 
 @njit
-def troposphere(lat: float, h: float, el: float, doy: float, humidity: float = 0.7) -> tuple[float, float]:
-    """Hydrostatic and wet slant delay, m: Saastamoinen's zenith delays mapped by Niell's functions.
+def zenith_delays_mops(lat: float, h: float, doy: float) -> tuple[float, float]:
+    """Hydrostatic and wet zenith delay, m, from the mean weather of latitude and season.
 
-    Parameters as in `zenith_delays` and `niell`.
+    The standard atmosphere of `zenith_delays` is that of a mild day at mid-latitudes everywhere: too wet by
+    0.1 m of zenith delay in an Arctic winter, too dry by as much in the tropics. Heights as in `zenith_delays`.
+
+    Parameters
+    ----------
+    lat, h : float
+        Geodetic latitude, rad, and height, m.
+    doy : float
+        Day of year.
+
+    References
+    ----------
+    RTCA DO-229E A.4.2.4 (the model of UNB3: Collins and Langley 1997), 5 cm rms at the zenith.
     """
-    zhd, zwd = zenith_delays(lat, h, humidity)
+    a = abs(math.degrees(lat))
+    position = min(max((a - 15.0) / 15.0, 0.0), 4.0)
+    k = min(int(position), 3) if position == position else 0
+    w = position - k
+    day_min = 28.0 if lat >= 0.0 else 211.0
+    season = math.cos(2.0 * math.pi * (doy - day_min) / 365.25)
+    met = np.empty(5)
+    for i in range(5):
+        mean = _MOPS[i, k] + w * (_MOPS[i, k + 1] - _MOPS[i, k])
+        amplitude = _MOPS[5 + i, k] + w * (_MOPS[5 + i, k + 1] - _MOPS[5 + i, k])
+        met[i] = mean - amplitude * season
+    P, T, e, beta, lam = met[0], met[1], met[2], met[3], met[4]
+    g, gm, Rd, k1, k2 = 9.80665, 9.784, 287.054, 77.604, 382000.0
+    below = min(max((h + 2000.0) / 1000.0, 0.0), 1.0) if h == h else h  # no air in the Earth
+    base = max(1.0 - beta * max(h, -1000.0) / T, 0.0) if h == h else h
+    zhd = 1e-6 * k1 * Rd * P / gm * base ** (g / (Rd * beta))
+    zwd = 1e-6 * k2 * Rd / (gm * (lam + 1.0) - beta * Rd) * e / T * base ** ((lam + 1.0) * g / (Rd * beta) - 1.0)
+    return zhd * below, zwd * below
+
+
+@njit
+def troposphere(lat: float, h: float, el: float, doy: float) -> tuple[float, float]:
+    """Hydrostatic and wet slant delay, m: zenith delays of the season mapped by Niell's functions.
+
+    Parameters as in `zenith_delays_mops` and `niell`.
+    """
+    zhd, zwd = zenith_delays_mops(lat, h, doy)
     mh, mw = niell(lat, h, el, doy)
     return zhd * mh, zwd * mw

@@ -24,7 +24,7 @@ from starwise.constants import (
     WGS84_F,
 )
 from starwise.kernels._jit import njit
-from starwise.kernels.atmosphere import klobuchar, klobuchar_bds, troposphere
+from starwise.kernels.atmosphere import klobuchar, klobuchar_bds, saastamoinen, troposphere
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -36,6 +36,10 @@ F_B1I = 1561.098e6  # Hz, the same for BeiDou (BDS-SIS-ICD-B1I-3.0 5.2.4.7)
 IONO_NONE = 0
 IONO_GPS = 1
 IONO_BDS = 2
+
+TROPO_NONE = 0
+TROPO_SEASONAL = 1  # mean weather of latitude and season, Niell's mapping
+TROPO_SAASTAMOINEN = 2  # standard atmosphere, 1 / sin(el)
 
 
 class Rows(NamedTuple):
@@ -70,7 +74,7 @@ class ModelOptions(NamedTuple):
     cn0_min_dbhz: float
     iono_model: I8  # (7,) IONO_* per system
     iono_coef: F8  # (7, 8) Klobuchar alpha, beta per system
-    troposphere_on: bool
+    troposphere: int  # TROPO_*
     code_sigma: F8  # (7,) code noise at the zenith and 45 dB-Hz, m, per system
     rate_sigma: float  # pseudorange-rate noise at the zenith and 45 dB-Hz, m/s
     fixed_code_sigma_m: float  # > 0 replaces the whole code variance (simulation with known noise)
@@ -184,7 +188,7 @@ def variances(
     if freq_hz < 1e12:
         # Where no model is applied the whole delay is an error: 5 m at the zenith on L1, mapped.
         iono_sigma = 0.5 * iono if iono > 0.0 else 5.0 / s * (F_L1 / freq_hz) ** 2
-    tropo_sigma = 0.3 / (s + 0.1) if options.troposphere_on else 2.5 / s
+    tropo_sigma = 0.3 / (s + 0.1) if options.troposphere != TROPO_NONE else 2.5 / s
     code = noise + sigma_sat * sigma_sat + iono_sigma * iono_sigma + tropo_sigma * tropo_sigma
     b = options.rate_sigma
     rate = b * b * (0.5 * low + 0.5 / (s * s))
@@ -232,9 +236,7 @@ def epoch_corrections(
         out.status[i] = rows.status[i]
         if rows.status[i] != ROW_USED:
             continue
-        rho, sagnac, ux, uy, uz = range_los(
-            px, py, pz, rows.sat_pos[i, 0], rows.sat_pos[i, 1], rows.sat_pos[i, 2]
-        )
+        rho, sagnac, ux, uy, uz = range_los(px, py, pz, rows.sat_pos[i, 0], rows.sat_pos[i, 1], rows.sat_pos[i, 2])
         out.geometric[i] = rho
         out.sagnac[i] = sagnac
         if not known:
@@ -253,9 +255,11 @@ def epoch_corrections(
         out.elevation[i], out.azimuth[i] = el, az
         tropo, iono = 0.0, 0.0
         if el > 0.0:
-            if options.troposphere_on:
+            if options.troposphere == TROPO_SEASONAL:
                 dry, wet = troposphere(lat, h, el, doy)
                 tropo = dry + wet
+            elif options.troposphere == TROPO_SAASTAMOINEN:
+                tropo = saastamoinen(lat, h, el)
             if rows.freq_hz[i] < 1e12:
                 iono = ionosphere_delay(options, rows.system[i], rows.freq_hz[i], lat, lon, az, el, tow)
         out.troposphere[i], out.ionosphere[i] = tropo, iono

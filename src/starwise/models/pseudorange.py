@@ -30,7 +30,18 @@ from starwise.constants import (
     SYSTEMS,
 )
 from starwise.errors import StarwiseError
-from starwise.kernels.rangemodel import IONO_BDS, IONO_GPS, IONO_NONE, Epochs, ModelOptions, RowModel, Rows
+from starwise.kernels.rangemodel import (
+    IONO_BDS,
+    IONO_GPS,
+    IONO_NONE,
+    TROPO_NONE,
+    TROPO_SAASTAMOINEN,
+    TROPO_SEASONAL,
+    Epochs,
+    ModelOptions,
+    RowModel,
+    Rows,
+)
 from starwise.models.select import select
 from starwise.types import F8, U1, Ephemeris, IonosphereModel, Observations, SatStates, Sightings
 
@@ -48,12 +59,19 @@ for _sat, _row in (
 UNKNOWN_GROUP_DELAY_SIGMA_M = 3.0
 """1 sigma, m, added where a signal's group delay is not broadcast: the size of the delays themselves (GPS TGD
 -20..+20 ns, IS-GPS-200N 20.3.3.3.3.2, typically 3-4 m rms; BeiDou TGD1 likewise)."""
-UNKNOWN_EPHEMERIS_SIGMA_M = {SYS_R: 4.0, SYS_S: 4.0}
-"""1-sigma range error, m, of ephemerides that claim none: GLONASS orbit and clock 2-5 m (GLONASS ICD L1/L2 5.1 table
-4.2 allows 7 m radial-equivalent); other systems 2.4 m, the worst of URA index 0."""
+EPHEMERIS_SIGMA_M = np.array([0.8, 2.5, 0.4, 1.2, 1.0, 2.0, 4.0])
+"""Orbit and clock error of broadcast ephemerides in the line of sight as measured against precise products, 1 sigma m,
+G R E C J I S (Montenbruck, Steigenberger, Hauschild, "Multi-GNSS signal-in-space range error assessment", Adv. Space
+Res. 61, 2018, and their later tables; geostationary and old satellites counted in)."""
+EPHEMERIS_BEST_CLAIM_M = np.array([2.5, 4.0, 3.2, 2.5, 2.5, 2.5, 4.0])
+"""Claims up to here, m, are the best index that a system broadcasts (URA 0: 2.4 m, IS-GPS-200N 20.3.3.3.1.3; SISA 3.12 m,
+the only value that Galileo uses): bounds for integrity, far above the real error. Larger claims are believed."""
 CODE_SIGMA_M = {SYS_R: 0.8}
 """Code noise and multipath at the zenith and 45 dB-Hz, m; 0.4 m elsewhere. GLONASS chips are twice as long as those of
 GPS C/A (0.511 against 1.023 Mchip/s)."""
+
+
+TROPOSPHERE = {"none": TROPO_NONE, "seasonal": TROPO_SEASONAL, "saastamoinen": TROPO_SAASTAMOINEN}
 
 
 @dataclass(frozen=True)
@@ -74,9 +92,7 @@ class Prepared:
     """What was decided where the inputs are silent: for the summary."""
 
 
-def prepare(
-    obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel, config: RunConfig
-) -> Prepared:
+def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel, config: RunConfig) -> Prepared:
     """Select signals, attach satellites and lay out the rows of a run.
 
     Raises
@@ -99,8 +115,7 @@ def prepare(
     if len(use) == 0:
         raise StarwiseError(
             "no pseudorange of the chosen systems and signals",
-            found=", ".join(f"{k}: {' '.join(v)}" for k, v in obs.header.signals.items())
-            or "no declared signals",
+            found=", ".join(f"{k}: {' '.join(v)}" for k, v in obs.header.signals.items()) or "no declared signals",
             wanted=f"systems {config.systems}",
         )
     t_rx = np.repeat(s.t_ns, np.diff(s.offsets))
@@ -130,9 +145,7 @@ def prepare(
         clock=clock,
         status=status,
     )
-    return Prepared(
-        s, states, delay, row_status, rows, Epochs(s.t_ns, s.offsets), options, clock_names, tuple(notes)
-    )
+    return Prepared(s, states, delay, row_status, rows, Epochs(s.t_ns, s.offsets), options, clock_names, tuple(notes))
 
 
 def _scatter(found: SatStates, use: NDArray[np.intp], n: int) -> SatStates:
@@ -159,11 +172,11 @@ def _scatter(found: SatStates, use: NDArray[np.intp], n: int) -> SatStates:
     )  # type: ignore[arg-type]
 
 
-def _ephemeris_sigma(sigma_m: F8, system: NDArray[np.int16]) -> F8:
-    unknown = np.full(N_SYSTEMS, 2.4)
-    for index, value in UNKNOWN_EPHEMERIS_SIGMA_M.items():
-        unknown[index] = value
-    return np.where(np.isfinite(sigma_m), sigma_m, unknown[system])
+def _ephemeris_sigma(claim_m: F8, system: NDArray[np.int16]) -> F8:
+    """1-sigma range error of the ephemeris, m, out of what it claims of itself (NaN: nothing)."""
+    believed = np.isfinite(claim_m) & (claim_m > EPHEMERIS_BEST_CLAIM_M[system])
+    small = np.isfinite(claim_m) & (claim_m < EPHEMERIS_SIGMA_M[system])
+    return np.where(believed | small, claim_m, EPHEMERIS_SIGMA_M[system])
 
 
 def _clocks(s: Sightings, status: U1) -> tuple[tuple[str, ...], NDArray[np.int64]]:
@@ -187,9 +200,7 @@ def model_options(config: RunConfig, ionosphere: IonosphereModel) -> tuple[Model
     model = np.full(N_SYSTEMS, IONO_NONE, dtype=np.int64)
     coef = np.zeros((N_SYSTEMS, 8))
     if config.ionosphere == "broadcast" and config.combination == "single":
-        common = next(
-            (ionosphere.klobuchar[k] for k in ("G", "J", "E", "I") if k in ionosphere.klobuchar), None
-        )
+        common = next((ionosphere.klobuchar[k] for k in ("G", "J", "E", "I") if k in ionosphere.klobuchar), None)
         beidou = ionosphere.klobuchar.get("C")
         if common is not None:
             model[:], coef[:] = IONO_GPS, common
@@ -207,7 +218,7 @@ def model_options(config: RunConfig, ionosphere: IonosphereModel) -> tuple[Model
         cn0_min_dbhz=config.cn0_min_dbhz,
         iono_model=model,
         iono_coef=coef,
-        troposphere_on=config.troposphere != "none",
+        troposphere=TROPOSPHERE[config.troposphere],
         code_sigma=code_sigma,
         rate_sigma=0.1,
         fixed_code_sigma_m=0.0,

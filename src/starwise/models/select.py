@@ -16,9 +16,7 @@ def _ranks(preference: Mapping[str, Sequence[str]]) -> NDArray[np.int64]:
     table = np.full((N_SYSTEMS, 10, 128), -1, dtype=np.int64)
     for letter, names in preference.items():
         if letter not in SYSTEMS:
-            raise StarwiseError(
-                "unknown system in signal preference", found=letter, wanted=f"one of {SYSTEMS}"
-            )
+            raise StarwiseError("unknown system in signal preference", found=letter, wanted=f"one of {SYSTEMS}")
         for place, name in enumerate(names):
             sig = signal_id(name)
             table[SYSTEMS.index(letter), sig >> 8, sig & 127] = place
