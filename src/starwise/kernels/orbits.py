@@ -1,5 +1,6 @@
 """Broadcast satellite states of many rows: choice of the record, light time, dispatch by system."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +33,12 @@ I1 = NDArray[np.int8]
 
 N_RANKS = 4
 """Messages of one satellite are tried in this many ranks of preference."""
+STALE_MPH2 = 5.0
+"""Growth of the range error outside the interval of fit, m per squared hour.
+
+Orbits extrapolate with the square of time; measured against final orbits, in range: Galileo before toe 5 to 6,
+BeiDou before 4 to 5, after 2 to 3 m/h^2.
+"""
 MAX_CODE_M = 1e9
 """Pseudoranges beyond this are no light time at all."""
 
@@ -51,6 +58,8 @@ class Table(NamedTuple):
         Reference times, and the time from which the record can be known, GPST.
     limit_ns : (n,) int64
         Largest distance from toe at which the record may be used.
+    before_ns, after_ns : (n,) int64
+        How far before and after toe the record describes the orbit it was fitted to.
     status : (n,) int8
         ``SAT_*`` of the record itself.
     sigma_m : (n,) float64
@@ -68,6 +77,8 @@ class Table(NamedTuple):
     toc_ns: I8
     avail_ns: I8
     limit_ns: I8
+    before_ns: I8
+    after_ns: I8
     status: I1
     sigma_m: F8
     par: F8
@@ -89,11 +100,19 @@ def _last_at_or_before(values: I8, order: I8, lo: int, hi: int, t: int) -> int:
 
 
 @njit
+def _outside_fit(table: Table, rec: int, t_ns: int) -> int:
+    """Time by which ``t_ns`` lies outside the interval to which a record was fitted, ns."""
+    age: int = t_ns - table.toe_ns[rec]
+    return max(age - int(table.after_ns[rec]), -age - int(table.before_ns[rec]), 0)
+
+
+@njit
 def choose(table: Table, sv: int, t_ns: int, post: bool) -> int:
     """Record of a satellite for a time, or minus the ``SAT_*`` reason why there is none.
 
     The first rank with a valid record wins. Within it: the record transmitted last before ``t_ns``; in
-    post-processing the one whose reference time is nearest, the newest upload of those that share it.
+    post-processing, of the two whose reference times enclose ``t_ns``, the one fitted to that time, or if both or
+    neither are, the nearer. Of those that share a reference time, the newest upload.
     """
     reason = SAT_NO_EPHEMERIS
     best: int
@@ -109,9 +128,14 @@ def choose(table: Table, sv: int, t_ns: int, post: bool) -> int:
             if i >= lo:
                 best = table.by_toe[i]
             if i + 1 < hi:
-                after = table.toe_ns[table.by_toe[i + 1]]
-                if best < 0 or after - t_ns < t_ns - table.toe_ns[best]:
-                    best = table.by_toe[_last_at_or_before(table.toe_ns, table.by_toe, lo, hi, after)]
+                toe = table.toe_ns[table.by_toe[i + 1]]
+                later = table.by_toe[_last_at_or_before(table.toe_ns, table.by_toe, lo, hi, toe)]
+                if best < 0:
+                    best = later
+                else:
+                    gain = _outside_fit(table, best, t_ns) - _outside_fit(table, later, t_ns)
+                    if gain > 0 or (gain == 0 and toe - t_ns < t_ns - table.toe_ns[best]):
+                        best = later
             if abs(t_ns - table.toe_ns[best]) <= table.limit_ns[best]:
                 return best
         else:
@@ -165,8 +189,9 @@ def broadcast_states(
             continue
         record[row] = rec
         status[row] = table.status[rec]
-        sigma_m[row] = table.sigma_m[rec]
-        if table.status[rec] == SAT_BAD_EPHEMERIS or not abs(code_m[row]) <= MAX_CODE_M:
+        stale = STALE_MPH2 * (_outside_fit(table, rec, t_rx_ns[row]) / (3600.0 * NS)) ** 2
+        sigma_m[row] = math.sqrt(table.sigma_m[rec] ** 2 + stale**2)
+        if not abs(code_m[row]) <= MAX_CODE_M:
             continue
         p = table.par[rec]
         system = sv[row] >> 8

@@ -55,17 +55,18 @@ DEFAULT_MESSAGES: Final[Ranks] = {
     "S": (("SBAS",),),
 }
 
-LIMIT_S: Final[dict[tuple[int, int | None], float]] = {
-    # Largest |t - toe| at which a record is used, s. None: all other messages of the system.
-    (SYS_G, None): 7200.0,  # fit interval of 4 h centred on toe (IS-GPS-200N 20.3.3.4.3.1); longer if so flagged
-    (SYS_G, MSG_CNAV): 5400.0,  # 3 h (IS-GPS-200N 30.3.3.1.1)
-    (SYS_G, MSG_CNV2): 5400.0,  # 3 h (IS-GPS-800J 3.5.3)
-    (SYS_R, None): 1800.0,  # +-15 min (ICD L1/L2 5.1 A.3.1.2) and as much again, for a lost record; RTKLIB the same
-    (SYS_E, None): 14400.0,  # 4 h after the start of transmission (Galileo OS SDD 1.3, 2.3.1.1)
-    (SYS_C, None): 21600.0,  # hourly; no limit in the ICD. RTKLIB's. The nearest record is used anyway
-    (SYS_J, None): 7200.0,  # 2 h fit interval (IS-QZSS-PNT-005 5.4.1.2), and as much again as RTKLIB does
-    (SYS_I, None): 7200.0,  # 2 h (IRNSS SPS ICD 1.1, 6.2.1.3)
-    (SYS_S, None): 360.0,  # time-out of message 9 for en-route (RTCA DO-229E table A-25)
+LIMIT_S: Final[dict[tuple[int, int | None], tuple[float, float, float]]] = {
+    # Largest |t - toe| at which a record is used, s; how long before and after toe the fit holds. Between the two the
+    # claimed accuracy is widened by `STALE_MPH2`. None: all other messages of the system.
+    (SYS_G, None): (7200.0, 7200.0, 7200.0),  # fit of 4 h about toe, longer if flagged (IS-GPS-200N 20.3.3.4.3.1)
+    (SYS_G, MSG_CNAV): (5400.0, 5400.0, 5400.0),  # 3 h (IS-GPS-200N 30.3.3.1.1)
+    (SYS_G, MSG_CNV2): (5400.0, 5400.0, 5400.0),  # 3 h (IS-GPS-800J 3.5.3)
+    (SYS_R, None): (1800.0, 900.0, 900.0),  # +-15 min (ICD L1/L2 5.1, A.3.1.2); twice that for a lost record
+    (SYS_E, None): (14400.0, 3600.0, 14400.0),  # 4 h from the start of transmission (Galileo OS SDD 1.3, 2.3.1.1)
+    (SYS_C, None): (21600.0, 7200.0, 7200.0),  # hourly, no limit in the ICD; 6 h as RTKLIB
+    (SYS_J, None): (7200.0, 7200.0, 7200.0),  # 2 h about toe (IS-QZSS-PNT-005 5.4.1.2), more where flagged
+    (SYS_I, None): (7200.0, 7200.0, 7200.0),  # 2 h (IRNSS SPS ICD 1.1, 6.2.1.3)
+    (SYS_S, None): (360.0, 360.0, 360.0),  # time-out of message 9 en route (RTCA DO-229E table A-25)
 }
 _MARGIN_S: Final = 1.0
 """Rounding of labels and the flight time."""
@@ -108,11 +109,13 @@ def galileo_first(message: str) -> Ranks:
 
 @dataclass(frozen=True)
 class _Rules:
-    """Per record: rank of its message (-1: not wanted), status, limit, time from which it can be known, sigma."""
+    """Per record: rank of its message (-1: not wanted), status, limits, time from which it can be known, sigma."""
 
     rank: NDArray[np.int64]
     status: NDArray[np.int8]
     limit_ns: I8
+    before_ns: I8
+    after_ns: I8
     avail_ns: I8
     sigma_m: F8
 
@@ -121,8 +124,8 @@ class BroadcastEphemeris:
     r"""Satellite states and group delays by broadcast records, ECEF and GPST.
 
     A row asks for satellite s at the time its signal left: ``t_tx = t_rx - code / c - clock(t_tx)``. With ``post``
-    the record with the nearest reference time answers, which is what post-processing wants and RTKLIB does; without,
-    the one transmitted last before ``t_rx``, which is what a receiver had. The law: without ``post`` no state depends
+    the record with the nearest reference time answers, wherever it was fitted to that time; without, the one
+    transmitted last before ``t_rx``, which is what a receiver had. The law: without ``post`` no state depends
     on a record with ``t_tx_ns > t_rx_ns``.
 
     The position is that of the antenna phase centre (GPS L1/L2, Galileo, BeiDou B3I ... by each control segment).
@@ -251,15 +254,13 @@ def _rules(records: BroadcastRecords, messages: Ranks) -> _Rules:
     rank = _rank_table(messages)[system, records.message]
     rank = np.where(_plausible(records), rank, -1)
 
-    limit_s = _by_message(LIMIT_S, records)
-    fitted = (system == SYS_G) & (records.message == MSG_LNAV) & (records.fit_s > 0)
-    limit_s = np.where(fitted, np.maximum(limit_s, np.minimum(records.fit_s, 26 * 3600.0) / 2.0), limit_s)
-    limit_ns = ((limit_s + _MARGIN_S) * NS).astype(np.int64)
+    limits = [_by_message({k: v[i] for k, v in LIMIT_S.items()}, records) for i in range(3)]
+    flagged = (system == SYS_G) & (records.message == MSG_LNAV) & (records.fit_s > 0)
+    half_fit = np.minimum(records.fit_s, 26 * 3600.0) / 2.0  # IODC tables of IS-GPS-200N go up to 26 h
+    limits = [np.where(flagged, np.maximum(limit, half_fit), limit) for limit in limits]
+    limit_ns, before_ns, after_ns = (((limit + _MARGIN_S) * NS).astype(np.int64) for limit in limits)
 
-    # the transmission time of the file, kept within what a message can be: not long before its reference time, and
-    # if it claims to come after the record's use, unknown
     avail = np.maximum(records.t_tx_ns, records.toe_ns - int(_LAG_MAX_S * NS))
-    avail = np.where(avail > records.toe_ns + limit_ns, np.maximum(records.toe_ns, records.toc_ns), avail)
 
     mask = _by_message(HEALTH_MASK, records).astype(np.int64)
     status = np.full(records.n, SAT_OK, dtype=np.int8)
@@ -268,7 +269,7 @@ def _rules(records: BroadcastRecords, messages: Ranks) -> _Rules:
 
     known = np.isfinite(records.accuracy_m) & (records.accuracy_m > 0)
     sigma = np.where(known, records.accuracy_m, np.where(np.isinf(records.accuracy_m), np.inf, UNKNOWN_SIGMA_M))
-    return _Rules(rank, status, limit_ns, avail, sigma)
+    return _Rules(rank, status, limit_ns, before_ns, after_ns, avail, sigma)
 
 
 def _plausible(records: BroadcastRecords) -> NDArray[np.bool_]:
@@ -310,6 +311,8 @@ def _table(records: BroadcastRecords, rules: _Rules) -> Table:
         toc_ns=np.ascontiguousarray(records.toc_ns, dtype=np.int64),
         avail_ns=rules.avail_ns.astype(np.int64),
         limit_ns=rules.limit_ns,
+        before_ns=rules.before_ns,
+        after_ns=rules.after_ns,
         status=rules.status,
         sigma_m=np.ascontiguousarray(rules.sigma_m, dtype=np.float64),
         par=par,
