@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from handmade import handmade_solution
 
+from handmade import handmade_solution
 from starwise.errors import StarwiseError
 from starwise.io import results
 from starwise.io.results import RESULT_FILES, ledger_table, read_solution, solution_table, write_results
