@@ -1,0 +1,51 @@
+# Everything from a clean checkout: python 3.11 or newer, make and pip are all that is needed.
+#   make demo    the main job on data that ship with the package
+#   make test    all tests
+#   make lint    style, types, and which module may import which
+#   make bench   accuracy and speed tables (needs ../shared/data or STARWISE_SHARED_DATA, and Debian's rtklib)
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+BENCH  := $(VENV)/.installed-bench
+WORKERS ?= 2
+
+.PHONY: all demo test test-nojit lint format bench clean
+all: lint test
+
+$(STAMP): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	touch $@
+
+$(BENCH): $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev,bench]"
+	touch $@
+
+demo: $(STAMP)
+	$(BIN)/starwise demo
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -n $(WORKERS)
+
+# Laws again with the kernels as plain Python: what numba compiles is what is written.
+test-nojit: $(STAMP)
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -n $(WORKERS) -m "laws and not slow and not real"
+
+lint: $(STAMP)
+	$(BIN)/ruff check --output-format concise
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+
+format: $(STAMP)
+	$(BIN)/ruff format
+	$(BIN)/ruff check --fix
+
+bench: $(BENCH)
+	for table in benchmarks/[a-z]*.py; do \
+	  grep -q '^if __name__' $$table || continue; echo "== $$table"; $(BIN)/python $$table || exit 1; done
+
+clean:
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache starwise-demo
