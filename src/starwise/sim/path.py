@@ -14,6 +14,7 @@ attitude and angular rate are closed formulas of them: mutually consistent by co
 the poles. A *spline* piece has its position given; the same quantities follow from its derivatives.
 """
 
+import itertools
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -35,9 +36,9 @@ PANEL_S = 60.0
 
 
 def _matrices() -> tuple[F8, F8, F8]:
-    x = np.cos(np.pi * (np.arange(K) + 0.5) / K)
-    to_coef = np.linalg.inv(chebyshev.chebvander(x, K - 1))
-    integral = np.array([chebyshev.chebint(row, lbnd=-1.0) for row in np.eye(K)]).T  # (K + 1, K)
+    x: F8 = np.cos(np.pi * (np.arange(K, dtype=np.float64) + 0.5) / K)
+    to_coef = np.asarray(np.linalg.inv(chebyshev.chebvander(x, K - 1)), dtype=np.float64)
+    integral: F8 = np.array([chebyshev.chebint(row, lbnd=-1.0) for row in np.eye(K)]).T  # (K + 1, K)
     return x, to_coef, integral
 
 
@@ -182,7 +183,7 @@ class LawPiece:
         edges = law.t_s + np.linspace(0.0, -1.0 if backwards else 1.0, n + 1) * law.duration_s
         self._panels: list[_Panel] = []
         u, w, h, pos = start.u, start.f, start.height_m, start.pos_e
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
+        for a, b in itertools.pairwise(edges):
             panel = _fly(law, float(a), float(b), u, w, h, pos)
             self._panels.append(panel)
             uw, ph = panel.uw.sum(axis=0), panel.ph.sum(axis=0)  # Chebyshev polynomials are 1 at the end
@@ -282,7 +283,7 @@ class SplinePiece:
         """Kinematics at times, s."""
         pos, vel, acc, jerk = (np.asarray(d(t)) for d in self._derivatives)
         pos = pos + self._origin
-        u, h, u_dot = level_frame(pos, vel)
+        u, _, u_dot = level_frame(pos, vel)
         up, up1 = dot(vel, u), dot(acc, u) + dot(vel, u_dot)
         vel_h = vel - up * u
         acc_h = acc - up1 * u - up * u_dot  # rate of vel_h
@@ -312,20 +313,23 @@ class RecordedPiece:
     angles : scipy.interpolate.PPoly
         Heading from north (unwrapped), pitch, roll, rad.
     origin : (3,) ndarray
+    margin_s : float
+        Time by which either end may be extrapolated.
     """
 
-    def __init__(self, spline: Any, angles: Any, origin: F8) -> None:
+    def __init__(self, spline: Any, angles: Any, origin: F8, margin_s: float) -> None:
         self._derivatives = [spline, spline.derivative(1), spline.derivative(2)]
         self._angles = [angles, angles.derivative(1)]
         self._origin = origin
-        self.t_s, self.duration_s = float(spline.x[0]), float(spline.x[-1] - spline.x[0])
+        self.t_s = float(spline.x[0]) - margin_s
+        self.duration_s = float(spline.x[-1]) + margin_s - self.t_s
         self.knots = np.asarray(spline.x[1:-1], dtype=np.float64)
 
     def at(self, t: F8) -> Points:
         """Kinematics at times, s."""
         pos, vel, acc = (np.asarray(d(t)) for d in self._derivatives)
         pos = pos + self._origin
-        u, h, u_dot = level_frame(pos, vel)
+        u, _, u_dot = level_frame(pos, vel)
         angle, rate = (np.asarray(d(t)) for d in self._angles)
         east = np.stack([-u[:, 1], u[:, 0], np.zeros(len(t))], axis=1)
         cos_lat2 = dot(east, east)

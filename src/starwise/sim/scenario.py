@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from starwise.config import Checked, Range, read_toml
 from starwise.constants import NS
 from starwise.errors import StarwiseError
 from starwise.sim.sections import SYSTEM_OF, Fault, Imu, Output, Receiver, Sky, Time, Vehicle
+
+if TYPE_CHECKING:
+    from starwise.sim.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,30 @@ class Scenario(Checked):
         n = int(round(self.time.duration_s * NS) // round(self.time.interval_s * NS)) + 1
         return self.time.start_ns + np.arange(n, dtype=np.int64) * round(self.time.interval_s * NS)
 
+    @cached_property
+    def trajectory(self) -> "Trajectory":
+        """The vehicle's true trajectory, from 1 s before the scenario's start to 1 s after its end.
+
+        Raises
+        ------
+        StarwiseError
+            A segment that cannot be flown; a recorded file that cannot be used or is too short.
+        """
+        from starwise.sim.trajectory import MARGIN_S, from_segments, read_recorded
+
+        start_ns, duration_s = self.time.start_ns, self.time.duration_s
+        if self.vehicle.recorded is None:
+            return from_segments(self.vehicle, start_ns, duration_s)
+        recorded = read_recorded(self.path_of(self.vehicle.recorded), start_ns)
+        first, last = recorded.begin_s + MARGIN_S, recorded.end_s - MARGIN_S
+        if first > 1e-6 or last < duration_s - 1e-6:
+            raise StarwiseError(
+                "'vehicle.recorded' does not cover the scenario",
+                found=f"{first:g} to {last:g} s",
+                wanted=f"0 to {duration_s:g} s",
+            )
+        return recorded
+
     def path_of(self, name: str) -> Path:
         """Path of a file that the scenario names."""
         return Path(self.folder) / name
@@ -80,9 +107,14 @@ def load_scenario(path: str | Path, options: Mapping[str, Any] | None = None) ->
     data.setdefault("folder", str(file.parent))
     try:
         scenario = Scenario.from_dict(data)
+        if not options:
+            scenario.trajectory  # noqa: B018  an impossible segment is an error of the file
     except StarwiseError as error:
-        raise _located(error, file) from None
-    return scenario.with_options(options) if options else scenario
+        raise error if error.file else _located(error, file) from None
+    if options:
+        scenario = scenario.with_options(options)
+        scenario.trajectory  # noqa: B018
+    return scenario
 
 
 def shipped() -> tuple[str, ...]:
