@@ -35,7 +35,17 @@ def problem(rng, m, nk=9, clocks=2, with_rate=1.0):
     r = np.column_stack([rng.uniform(0.5, 9.0, m) ** 2, rng.uniform(0.02, 0.3, m) ** 2])
     v = np.column_stack([rng.normal(size=m) * 15.0, rng.normal(size=m) * 1.0])
     r[rng.random(m) > with_rate, 1] = INF
-    return {"n": n, "moving": nk >= 6, "ic": ic, "idr": ic + clocks, "u": u, "v": v, "r": r, "P": P}
+    return {
+        "n": n,
+        "moving": nk >= 6,
+        "ic": ic,
+        "idr": ic + clocks,
+        "u": u,
+        "g": rng.normal(size=(m, 3)) * 1e-2,
+        "v": v,
+        "r": r,
+        "P": P,
+    }
 
 
 def run(kernel, p, gate1=INF, gate2=INF, order=None):
@@ -44,8 +54,8 @@ def run(kernel, p, gate1=INF, gate2=INF, order=None):
     x, P = np.zeros(p["n"]), p["P"].copy()
     v_out, s_out, used = np.full((m, 2), np.nan), np.full((m, 2), np.nan), np.zeros(m, np.uint8)
     nis, dof = kernel(
-        x, P, p["n"], p["moving"], p["ic"][order], p["idr"][order], p["u"][order], p["v"][order], p["r"][order],
-        m, gate1, gate2, v_out, s_out, used,
+        x, P, p["n"], p["moving"], p["ic"][order], p["idr"][order], p["u"][order], p["g"][order],
+        p["v"][order], p["r"][order], m, gate1, gate2, v_out, s_out, used,
     )  # fmt: skip
     return {"x": x, "P": P, "nis": nis, "dof": dof, "v": v_out, "s": s_out, "used": used}
 
@@ -54,7 +64,7 @@ def jacobian(p, k):
     """Twin: dense rows of satellite k."""
     H = np.zeros((2, p["n"]))
     H[0, :3], H[0, p["ic"][k]] = -p["u"][k], 1.0
-    H[1, p["idr"][k]] = 1.0
+    H[1, :3], H[1, p["idr"][k]] = p["g"][k], 1.0
     if p["moving"]:
         H[1, 3:6] = -p["u"][k]
     return H if np.isfinite(p["r"][k, 1]) else H[:1]

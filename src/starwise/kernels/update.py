@@ -2,8 +2,8 @@
 
 Both take the same rows: satellite k gives a pseudorange, and a pseudorange rate unless its variance is not finite,
 
-    code  h = -u' pos + clk        four non-zeros, at 0..2 and ``ic[k]``
-    rate  h = -u' vel + drift      four non-zeros, at 3..5 and ``idr[k]``; only drift for a static receiver
+    code  h = -u' pos + clk                 four non-zeros, at 0..2 and ``ic[k]``
+    rate  h =  g' pos - u' vel + drift      seven, at 0..2, 3..5 and ``idr[k]``; no velocity for a static receiver
 
 with errors that are independent between satellites (R block-diagonal: the condition of sequential processing). Both
 decide row by row, in the order given, on the innovation *conditioned on the satellites accepted before*:
@@ -43,7 +43,8 @@ USED_BOTH = 3
 @njit
 def update_satellite(
     x: F8, P: F8, n: int, moving: bool, ic: int, idr: int, ux: float, uy: float, uz: float,
-    v1: float, v2: float, r1: float, r2: float, gate1: float, gate2: float, a: F8, b: F8,
+    gx: float, gy: float, gz: float, v1: float, v2: float, r1: float, r2: float,
+    gate1: float, gate2: float, a: F8, b: F8,
 ) -> tuple[int, float, float, float]:  # fmt: skip
     """Update of state and covariance with one satellite (eq. 5c of the S3EKF paper), in place.
 
@@ -64,6 +65,8 @@ def update_satellite(
         Index of the clock bias and drift of the satellite's system.
     ux, uy, uz : float
         Unit vector from receiver to satellite.
+    gx, gy, gz : float
+        Gradient of the rate with respect to the position, 1/s.
     v1, v2 : float
         Innovations of code (m) and rate (m/s) at ``x``.
     r1, r2 : float
@@ -86,15 +89,18 @@ def update_satellite(
     if moving:
         for i in range(n):
             a[i] = P[ic, i] - ux * P[0, i] - uy * P[1, i] - uz * P[2, i]  # P h, code
-            b[i] = P[idr, i] - ux * P[3, i] - uy * P[4, i] - uz * P[5, i]  # P h, rate
-        s21 = a[idr] - ux * a[3] - uy * a[4] - uz * a[5]
-        s22 = b[idr] - ux * b[3] - uy * b[4] - uz * b[5] + r2
+            b[i] = (P[idr, i] + gx * P[0, i] + gy * P[1, i] + gz * P[2, i]) - (
+                ux * P[3, i] + uy * P[4, i] + uz * P[5, i]
+            )  # P h, rate
+        s21 = -ux * a[3] - uy * a[4] - uz * a[5]
+        s22 = r2 - ux * b[3] - uy * b[4] - uz * b[5]
     else:
         for i in range(n):
             a[i] = P[ic, i] - ux * P[0, i] - uy * P[1, i] - uz * P[2, i]
-            b[i] = P[idr, i]
-        s21 = a[idr]
-        s22 = b[idr] + r2
+            b[i] = P[idr, i] + gx * P[0, i] + gy * P[1, i] + gz * P[2, i]
+        s21, s22 = 0.0, r2
+    s21 += a[idr] + gx * a[0] + gy * a[1] + gz * a[2]
+    s22 += b[idr] + gx * b[0] + gy * b[1] + gz * b[2]
     s11 = a[ic] - ux * a[0] - uy * a[1] - uz * a[2] + r1
     # M = S^-1, y = M v; a row that is not used has zeros in M.
     m11, m21, m22 = 1.0 / s11, 0.0, 0.0
@@ -155,7 +161,7 @@ def decide(v1: float, v2: float, s11: float, s21: float, s22: float, paired: boo
 
 @njit
 def update_sequential(
-    x: F8, P: F8, n: int, moving: bool, ic: I8, idr: I8, u: F8, v: F8, r: F8, m: int, gate1: float, gate2: float,
+    x: F8, P: F8, n: int, moving: bool, ic: I8, idr: I8, u: F8, g: F8, v: F8, r: F8, m: int, gate1: float, gate2: float,
     v_out: F8, s_out: F8, used: U1,
 ) -> tuple[float, int]:  # fmt: skip
     """Update with m satellites one after another, rows linear in the state; x and P in place.
@@ -171,6 +177,8 @@ def update_sequential(
     ic, idr : (>= m,) int64
     u : (>= m, 3)
         Unit vectors receiver to satellite.
+    g : (>= m, 3)
+        Gradients of the rates with respect to the position, 1/s.
     v, r : (>= m, 2)
         Innovations at x = 0 and variances, code and rate (r = inf: no rate).
     m : int
@@ -196,11 +204,12 @@ def update_sequential(
         c, d = ic[k], idr[k]
         ux, uy, uz = u[k, 0], u[k, 1], u[k, 2]
         v1 = v[k, 0] - (x[c] - ux * x[0] - uy * x[1] - uz * x[2])
-        v2 = v[k, 1] - x[d]
+        gx, gy, gz = g[k, 0], g[k, 1], g[k, 2]
+        v2 = v[k, 1] - (x[d] + gx * x[0] + gy * x[1] + gz * x[2])
         if moving:
             v2 += ux * x[3] + uy * x[4] + uz * x[5]
         bits, q, s11, s22 = update_satellite(
-            x, P, n, moving, c, d, ux, uy, uz, v1, v2, r[k, 0], r[k, 1], gate1, gate2, a, b
+            x, P, n, moving, c, d, ux, uy, uz, gx, gy, gz, v1, v2, r[k, 0], r[k, 1], gate1, gate2, a, b
         )
         v_out[k, 0], v_out[k, 1] = v1, v2
         s_out[k, 0], s_out[k, 1] = s11, s22
@@ -239,7 +248,7 @@ def _grow(
 
 @njit
 def update_batch(
-    x: F8, P: F8, n: int, moving: bool, ic: I8, idr: I8, u: F8, v: F8, r: F8, m: int, gate1: float, gate2: float,
+    x: F8, P: F8, n: int, moving: bool, ic: I8, idr: I8, u: F8, g: F8, v: F8, r: F8, m: int, gate1: float, gate2: float,
     v_out: F8, s_out: F8, used: U1,
 ) -> tuple[float, int]:  # fmt: skip
     """Update with m satellites at once by the Cholesky factor of S = H P H' + R; arguments as `update_sequential`.
@@ -249,37 +258,39 @@ def update_batch(
     PH = np.empty((2 * m + 2, n))
     L = np.empty((2 * m + 2, 2 * m + 2))
     y = np.empty(2 * m + 2)
-    h = np.empty(4)
-    at_c = np.array([0, 1, 2, 0])
-    at_d = np.array([3, 4, 5, 0])
+    h = np.empty(7)
+    at = np.array([0, 1, 2, 0, 3, 4, 5])
     rows, nis, dof = 0, 0.0, 0
     for k in range(m):
         c, d = ic[k], idr[k]
         ux, uy, uz = u[k, 0], u[k, 1], u[k, 2]
         h[0], h[1], h[2], h[3] = -ux, -uy, -uz, 1.0
-        paired = r[k, 1] < np.inf
-        at_c[3] = c
+        at[3] = c
         v0 = v[k, 0] - (x[c] - ux * x[0] - uy * x[1] - uz * x[2])
         for i in range(n):
             PH[rows, i] = P[c, i] - ux * P[0, i] - uy * P[1, i] - uz * P[2, i]
-        v1, s11 = _grow(PH, L, y, h, at_c, 4, v0, r[k, 0], rows, rows)
+        v1, s11 = _grow(PH, L, y, h, at, 4, v0, r[k, 0], rows, rows)
         i1 = 1.0 / math.sqrt(s11)
         v2, s22, s21 = np.nan, np.nan, 0.0
+        paired = r[k, 1] < np.inf
         if paired:
-            w = v[k, 1] - x[d]
+            gx, gy, gz = g[k, 0], g[k, 1], g[k, 2]
+            h[0], h[1], h[2], h[3], h[4], h[5], h[6] = gx, gy, gz, 1.0, -ux, -uy, -uz
+            at[3] = d
+            v0 = v[k, 1] - (x[d] + gx * x[0] + gy * x[1] + gz * x[2])
             if moving:
-                at_d[3] = d
-                w += ux * x[3] + uy * x[4] + uz * x[5]
+                v0 += ux * x[3] + uy * x[4] + uz * x[5]
                 for i in range(n):
-                    PH[rows + 1, i] = P[d, i] - ux * P[3, i] - uy * P[4, i] - uz * P[5, i]
-                v2, s22 = _grow(PH, L, y, h, at_d, 4, w, r[k, 1], rows + 1, rows)
-                s21 = PH[rows, d] - ux * PH[rows, 3] - uy * PH[rows, 4] - uz * PH[rows, 5]
+                    PH[rows + 1, i] = (P[d, i] + gx * P[0, i] + gy * P[1, i] + gz * P[2, i]) - (
+                        ux * P[3, i] + uy * P[4, i] + uz * P[5, i]
+                    )
             else:
-                at_d[0] = d
                 for i in range(n):
-                    PH[rows + 1, i] = P[d, i]
-                v2, s22 = _grow(PH, L, y, h[3:], at_d, 1, w, r[k, 1], rows + 1, rows)
-                s21 = PH[rows, d]
+                    PH[rows + 1, i] = P[d, i] + gx * P[0, i] + gy * P[1, i] + gz * P[2, i]
+            nh = 7 if moving else 4
+            v2, s22 = _grow(PH, L, y, h, at, nh, v0, r[k, 1], rows + 1, rows)
+            for q in range(nh):
+                s21 += h[q] * PH[rows, at[q]]
             for j in range(rows):
                 s21 -= L[rows, j] * L[rows + 1, j]
         v_out[k, 0], v_out[k, 1] = v1, v2

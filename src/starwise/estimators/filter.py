@@ -1,0 +1,103 @@
+"""EKF and S3EKF over a whole run: configuration to numbers, then `starwise.kernels.filter_run`."""
+
+import numpy as np
+
+from starwise.config import RunConfig
+from starwise.estimators.least_squares import chi_square_table, empty_epochs, spp_options
+from starwise.kernels.filter_run import FilterOptions, filter_run
+from starwise.kernels.rangemodel import Epochs, ModelOptions, RowModel, Rows
+from starwise.kernels.spp import EpochOut
+from starwise.models.process import Clocks, Motion, clocks_from, motion_from, process_numbers
+from starwise.models.pseudorange import Prepared, empty_row_model
+from starwise.types import F8
+
+EPOCH_FALSE_ALARM = 1e-5
+"""Chance that an epoch whose errors are as modelled fails the whole-epoch test."""
+PATIENCE = 3
+"""Consecutive failed epochs after which the filter is declared lost: chance 1e-15, while an outage of good
+measurements (a tunnel's end, a turn) rarely lasts longer than it."""
+
+
+def filter_options(config: RunConfig, motion: Motion, clocks: Clocks) -> FilterOptions:
+    """Numbers of the filter out of a configuration."""
+    gate = chi_square_table(config.gate_probability, 3)
+    return FilterOptions(
+        sequential=config.method == "s3ekf",
+        gate1=float(gate[1]),
+        gate2=float(gate[2]),
+        chi2=chi_square_table(EPOCH_FALSE_ALARM),
+        patience=PATIENCE,
+        velocity_sigma0=motion.velocity_sigma0,
+        acceleration_sigma0=motion.acceleration_sigma0,
+        drift_sigma0=clocks.drift_sigma0,
+        intersystem_sigma0=clocks.intersystem_sigma0,
+        intersystem_drift_sigma0=clocks.intersystem_drift_sigma0,
+        clock_loose_m=100.0,  # a bad satellite of 100 m would still pass as a clock error
+        lost_sigma_m=1000.0,  # least squares from nothing is better; ranges bend by dx^2 / 2 rho = 2 cm there
+        absent_s=3600.0,  # the inter-system bias is still known to 0.3 m then; the state stays small
+    )
+
+
+def run_filter(prepared: Prepared, config: RunConfig) -> tuple[EpochOut, RowModel]:
+    """Position, velocity, clocks and drifts of every epoch by EKF or S3EKF (``config.method``).
+
+    Returns
+    -------
+    EpochOut, RowModel
+        Per epoch and per sighting.
+    """
+    return filter_rows(prepared.epochs, prepared.rows, prepared.options, len(prepared.clock_names), config)
+
+
+def filter_rows(
+    epochs: Epochs,
+    rows: Rows,
+    model: ModelOptions,
+    n_clocks: int,
+    config: RunConfig,
+    start: tuple[F8, F8] | None = None,
+) -> tuple[EpochOut, RowModel]:
+    """EKF or S3EKF over prepared rows, real or simulated.
+
+    Parameters
+    ----------
+    epochs, rows, model
+        As the kernels take them.
+    n_clocks : int
+        Receiver clocks in ``rows.clock``.
+    config : RunConfig
+        ``method``, ``dynamics``, ``process``, ``clock``, ``gate_probability``, ``fde``.
+    start : ((n,), (n, n)), optional
+        Belief at the first epoch: kinematic states, clock bias, then drift, of every system; ECEF, SI. Without it
+        the first epoch that least squares can solve starts the filter.
+
+    Returns
+    -------
+    EpochOut, RowModel
+        Per epoch and per row.
+
+    Raises
+    ------
+    ValueError
+        ``start`` has the wrong shape.
+    """
+    motion, clocks = motion_from(config), clocks_from(config)
+    n = motion.nk + 2 * n_clocks
+    x0, P0 = start if start is not None else (np.full(n, np.nan), np.zeros((n, n)))
+    if x0.shape != (n,) or P0.shape != (n, n):
+        raise ValueError(f"start has shapes {x0.shape} and {P0.shape}, the state has {n} elements")
+    ep = empty_epochs(len(epochs.t_ns), n_clocks)
+    out = empty_row_model(len(rows.code_m))
+    filter_run(
+        model,
+        spp_options(config),
+        process_numbers(motion, clocks),
+        filter_options(config, motion, clocks),
+        epochs,
+        rows,
+        np.array(x0, dtype=np.float64),
+        np.array(P0, dtype=np.float64),
+        ep,
+        out,
+    )
+    return ep, out
