@@ -119,12 +119,14 @@ def _layout(
     shape = (N_SYSTEMS, width)
     layout = Layout(
         n_fields=np.zeros(N_SYSTEMS, dtype=np.int64),
-        kind=np.full(shape, -1, dtype=np.int8),
-        slot=np.zeros(shape, dtype=np.int16),
+        place=np.full(shape, -1, dtype=np.int64),
         divisor=np.full(shape, 1000.0),
+        lli=np.full(shape, -1, dtype=np.int64),
+        ssi=np.full(shape, -1, dtype=np.int64),
         n_slots=np.zeros(N_SYSTEMS, dtype=np.int64),
         sig=np.zeros(shape, dtype=np.int16),
-        other=np.full(shape, -1, dtype=np.int16),
+        other=np.full(shape, -1, dtype=np.int64),
+        per_line=5 if header.version < 3.0 else width,
         system=SYSTEMS.find(header.system) if header.system in SYSTEMS else 0,
         picoseconds=int(header.version >= 4.015),
     )
@@ -145,7 +147,11 @@ def _layout(
             taken.add((column.kind, column.name))
             kept.append(KINDS[column.kind] + column.name)
             slot = slots.setdefault(column.name, len(slots))
-            layout.kind[system, i], layout.slot[system, i] = column.kind, slot
+            layout.place[system, i] = 4 * slot + column.kind
+            if column.kind == 1:
+                layout.lli[system, i] = slot
+            if column.kind <= 1 and not any(c.kind == 3 and c.name == column.name for c in columns):
+                layout.ssi[system, i] = slot
             layout.sig[system, slot] = signal_id(column.name)
             factor = header.scale.get((letter, code), header.scale.get((letter, ""), 1.0))
             layout.divisor[system, i] = 1000.0 * factor

@@ -1,6 +1,7 @@
 """Reader of RINEX observation files (versions 2.0x, 2.1x, 3.0x, 4.0x), plain or packed, into `Observations`."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -109,14 +110,8 @@ def splice(parts: Sequence[Observations]) -> Observations:
     if n_same:
         file = " ".join(sorted({p.file for p in both.problems})) or "several files"
         what = "epoch that another file has already: dropped"
-        both = _with_problems(both, (*both.problems, Problem(file, 1, what, n_same)))
+        both = replace(both, problems=(*both.problems, Problem(file, 1, what, n_same)))
     return _in_order(both)
-
-
-def _with_problems(obs: Observations, problems: tuple[Problem, ...]) -> Observations:
-    from dataclasses import replace
-
-    return replace(obs, problems=problems)
 
 
 def _in_order(obs: Observations) -> Observations:
@@ -170,7 +165,8 @@ class _Body:
 
     def _relayout(self, line: int) -> None:
         self.layout, signals = translate(self.header, line, self.problems)
-        self.scratch = kernel.new_scratch(int(self.layout.sig.shape[1]))
+        width = int(self.layout.sig.shape[1])
+        self.scratch = kernel.new_scratch(width, -(-width // self.layout.per_line))
         for letter, codes in signals.items():
             known = self.signals.get(letter, ())
             self.signals[letter] = known + tuple(c for c in codes if c not in known)
@@ -180,7 +176,7 @@ class _Body:
         return 1 + self.data.count(b"\n", 0, int(pos))
 
     def read(self) -> Observations:
-        first = self.header
+        first = replace(self.header)  # what the file says of itself; events may change what follows
         run = _kernel(first)
         while True:
             ended = run(self.buf, self.layout, self.state, self.found, self.scratch, self.out)

@@ -4,12 +4,12 @@ Columns follow RINEX 3.05 tables A2 and A3, counted from 0 here. Nothing in the 
 is checked against the length of the buffer or the capacity of the outputs before it is used.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from starwise.constants import N_SYSTEMS, SYSTEMS
+from starwise.constants import SYSTEMS
 from starwise.kernels._jit import njit
 from starwise.kernels.text import parse_float, parse_int
 
@@ -38,7 +38,7 @@ BAD_NAME = 10
 N_PROBLEMS = 11
 
 MAX_LINES = 1024  # satellite lines of one epoch: 7 systems x 99 numbers fit
-KIND_C, KIND_L, KIND_D, KIND_S = 0, 1, 2, 3
+KIND_L = 1
 
 _SYSTEM_OF_LETTER = np.full(256, -1, dtype=np.int64)
 for _i, _letter in enumerate(SYSTEMS):
@@ -55,31 +55,35 @@ class Layout(NamedTuple):
     ----------
     n_fields : (7,) int64
         Fields declared.
-    kind : (7, F) int8
-        0 code, 1 phase, 2 Doppler, 3 signal strength, -1 not kept.
-    slot : (7, F) int16
-        Signal of the field, an index into ``sig``.
+    place : (7, F) int64
+        4 x signal + kind (0 code, 1 phase, 2 Doppler, 3 strength), signal an index into ``sig``; -1 not kept.
     divisor : (7, F) float64
         1000 times the scale factor: fields are integers of thousandths.
+    lli, ssi : (7, F) int64
+        Signal whose loss of lock indicator this field has, and whose strength its digit has to stand in for; -1.
     n_slots : (7,) int64
         Signals declared.
     sig : (7, S) int16
         Signal identifiers in file order.
-    other : (7, S) int16
+    other : (7, S) int64
         Signal that takes over phase, Doppler and strength when its own code is blank (RINEX 2), -1 for none.
+    per_line : int
+        Fields on a line.
     system : int
-        System index meant by a blank system letter, -1 if none is.
+        System index meant by a blank system letter.
     picoseconds : int
         1 if the epoch record may carry them (RINEX 4.02 and later).
     """
 
     n_fields: NDArray[np.int64]
-    kind: NDArray[np.int8]
-    slot: NDArray[np.int16]
+    place: NDArray[np.int64]
     divisor: NDArray[np.float64]
+    lli: NDArray[np.int64]
+    ssi: NDArray[np.int64]
     n_slots: NDArray[np.int64]
     sig: NDArray[np.int16]
-    other: NDArray[np.int16]
+    other: NDArray[np.int64]
+    per_line: int
     system: int
     picoseconds: int
 
@@ -102,15 +106,15 @@ class Output(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Work space of one epoch and one satellite record."""
+    """Work space of one epoch: satellites, their order, where their lines start and end; then one record."""
 
     sv: NDArray[np.int64]
+    order: NDArray[np.int64]
     start: NDArray[np.int64]
+    """Line j of satellite i at ``i * lines + j``."""
     end: NDArray[np.int64]
     value: NDArray[np.float64]
-    """(S, 4) by signal and kind."""
-    have: NDArray[np.uint8]
-    """(S,) bit per kind."""
+    """By place, NaN where blank."""
     lli: NDArray[np.uint8]
     ssi: NDArray[np.uint8]
 
@@ -210,136 +214,139 @@ def satellite(buf: NDArray[np.uint8], pos: int, blank_system: int) -> int:
 
 
 @njit
-def read_fields(
+def take_over(s: int, to: int, value: NDArray[np.float64], lli: NDArray[np.uint8], ssi: NDArray[np.uint8]) -> None:
+    """Move phase, Doppler and strength from signal ``s`` to ``to`` if only the latter has a code."""
+    s4, to4 = 4 * s, 4 * to
+    if not np.isnan(value[s4]) or np.isnan(value[to4]) or not np.isnan(value[to4 + 1]):
+        return
+    for kind in range(1, 4):
+        value[to4 + kind] = value[s4 + kind]
+        value[s4 + kind] = np.nan
+    lli[to] = lli[s]
+    ssi[to] = max(ssi[s], ssi[to])
+    ssi[s] = 0
+
+
+@njit
+def read_records(
     buf: NDArray[np.uint8],
-    start: int,
-    end: int,
-    system: int,
-    first: int,
-    last: int,
+    n_sat: int,
+    row: int,
     layout: Layout,
     scratch: Scratch,
     problems: NDArray[np.int64],
-) -> None:
-    """Fields ``first:last`` of a record (F14.3, LLI, SSI: 16 columns each) from the text ``buf[start:end]``.
+    out: Output,
+) -> int:
+    """Rows of an epoch's satellites, in their order, from their lines; returns the next row.
 
-    A zero is a missing value (RINEX 3.05 section 6.7: "missing observations are written as 0.0 or blanks"),
-    for a Doppler as well: one of 10 million is exactly 0, while receivers without Doppler write it on every
-    line. A field that the end of the line cuts short is not a value.
+    A field is F14.3, LLI and SSI: 16 columns. A zero is a missing value (RINEX 3.05 section 6.7: "missing
+    observations are written as 0.0 or blanks"), for a Doppler as well: one of 10 million is exactly 0, while
+    receivers without Doppler write it on every line. A field that the end of the line cuts short is not a value.
+
+    Signals without any value are left out; a satellite without any keeps one row of its system's first signal. The
+    caller has made sure that there is room for all signals.
     """
-    p = start
-    for f in range(first, last):
-        if p >= end:
-            break
-        kind = layout.kind[system, f]
-        if kind >= 0:
-            slot = layout.slot[system, f]
-            value = 0.0
-            ok = False
-            if p + 14 <= end and buf[p + 10] == 46:
-                i = p
-                stop = p + 10
-                while i < stop and buf[i] == 32:
-                    i += 1
-                negative = i < stop and buf[i] == 45
-                if negative:
-                    i += 1
-                whole = 0
-                ok = True
-                while i < stop:
-                    digit = np.int64(buf[i]) - 48
-                    ok &= 0 <= digit <= 9
-                    whole = whole * 10 + digit
-                    i += 1
-                for i in range(p + 11, p + 14):
-                    digit = np.int64(buf[i]) - 48
-                    ok &= 0 <= digit <= 9
-                    whole = whole * 10 + digit
-                value = whole / layout.divisor[system, f]
-                if negative:
-                    value = -value
-            if not ok:
-                stop = min(p + 14, end)
-                value, ok = parse_float(buf, p, stop)
-                blank = ok and value != value
-                if blank or (ok and stop == p + 14):
-                    value = 0.0 if blank else value * 1000.0 / layout.divisor[system, f]
-                else:
-                    note(problems, BAD_VALUE, p)
-                    value = 0.0
-            if value != 0.0:
-                scratch.value[slot, kind] = value
-                scratch.have[slot] |= 1 << kind
-                if kind <= KIND_L and p + 15 < end:
-                    ssi = buf[p + 15]
-                    if 49 <= ssi <= 57 and (kind == KIND_L or scratch.ssi[slot] == 0):
-                        scratch.ssi[slot] = ssi - 48
-            if kind == KIND_L and p + 14 < end:
-                lli = buf[p + 14]
-                if 48 <= lli <= 55:
-                    scratch.lli[slot] = lli - 48
-                elif lli != 32 and not 56 <= lli <= 57:
-                    note(problems, BAD_VALUE, p)
-        p += 16
-
-
-@njit
-def clear_record(n: int, scratch: Scratch) -> None:
-    """Empty the record's scratch."""
-    for s in range(n):
-        scratch.have[s] = 0
-        scratch.lli[s] = 0
-        scratch.ssi[s] = 0
-
-
-@njit
-def emit_record(sv: int, system: int, row: int, layout: Layout, scratch: Scratch, out: Output) -> int:
-    """Write the rows of one satellite; returns the next row.
-
-    Signals without any value are left out; a satellite without any keeps one row of its system's first
-    signal. The caller has made sure that there is room for all signals of the system.
-    """
-    n = layout.n_slots[system]
-    first = row
-    for s in range(n):
-        to = layout.other[system, s]
-        if to >= 0 and not scratch.have[s] & 1 and scratch.have[to] & 1 and not scratch.have[to] & 14:
-            scratch.have[to] |= scratch.have[s]
-            for kind in range(1, 4):
-                scratch.value[to, kind] = scratch.value[s, kind]
-            scratch.lli[to] = scratch.lli[s]
-            if scratch.ssi[s] > 0:
-                scratch.ssi[to] = scratch.ssi[s]
-            scratch.have[s] = 0
-            scratch.lli[s] = 0
-    for s in range(n):
-        have = scratch.have[s]
-        if have == 0 and not (row == first and s == n - 1):
+    value, lli, ssi, starts, ends = scratch.value, scratch.lli, scratch.ssi, scratch.start, scratch.end
+    values, place, divisor, lli_of, ssi_of = out.values, layout.place, layout.divisor, layout.lli, layout.ssi
+    out_sv, out_sig, out_lli, sig, other = out.sv, out.sig, out.lli, layout.sig, layout.other
+    per_line = layout.per_line
+    lines = (np.max(layout.n_fields) + per_line - 1) // per_line
+    last_sv = -1
+    for i in range(n_sat):
+        at = scratch.order[i]
+        sv = scratch.sv[at]
+        if sv < 0:
             continue
-        at = s if have else 0
-        out.sv[row] = sv
-        out.sig[row] = layout.sig[system, at]
-        for kind in range(4):
-            out.values[kind, row] = scratch.value[s, kind] if have & (1 << kind) else np.nan
-        if not have & 8 and have & 3 and scratch.ssi[s] > 0:
-            out.values[KIND_S, row] = 6.0 * scratch.ssi[s] + 3.0  # middle of its 6 dB-Hz class, RINEX 3.05 table 7
-        out.lli[row] = scratch.lli[s]
-        row += 1
+        if sv == last_sv:
+            note(problems, SAT_TWICE, starts[at * lines])
+            continue
+        last_sv = sv
+        system = sv >> 8
+        fields, slots = layout.n_fields[system], layout.n_slots[system]
+        for s in range(slots):
+            lli[s] = 0
+            ssi[s] = 0
+        for k in range(4 * slots):
+            value[k] = np.nan
+        for line in range(lines):
+            p, end = starts[at * lines + line], ends[at * lines + line]
+            for f in range(line * per_line, min((line + 1) * per_line, fields)):
+                if p >= end:
+                    break
+                to = place[system, f]
+                if to >= 0:
+                    whole, v, ok = np.int64(0), np.nan, False
+                    if p + 14 <= end and buf[p + 10] == 46:
+                        i0 = p
+                        dot = p + 10
+                        while i0 < dot and buf[i0] == 32:
+                            i0 += 1
+                        negative = i0 < dot and buf[i0] == 45
+                        if negative:
+                            i0 += 1
+                        ok = True
+                        while i0 < dot:
+                            digit = np.int64(buf[i0]) - 48
+                            ok &= 0 <= digit <= 9
+                            whole = whole * 10 + digit
+                            i0 += 1
+                        for k in range(p + 11, p + 14):
+                            digit = np.int64(buf[k]) - 48
+                            ok &= 0 <= digit <= 9
+                            whole = whole * 10 + digit
+                        if ok and whole != 0:
+                            v = (-whole if negative else whole) / divisor[system, f]
+                    if not ok:
+                        stop = min(p + 14, end)
+                        v, ok = parse_float(buf, p, stop)
+                        if not ok or (stop < p + 14 and not np.isnan(v)):
+                            note(problems, BAD_VALUE, p)
+                            v = np.nan
+                        v = v * 1000.0 / divisor[system, f] if v != 0.0 else np.nan
+                    value[to] = v
+                    s = lli_of[system, f]
+                    if s >= 0 and p + 14 < end:
+                        c = buf[p + 14]
+                        if 48 <= c <= 55:
+                            lli[s] = c - 48
+                        elif c != 32 and not 56 <= c <= 57:
+                            note(problems, BAD_VALUE, p)
+                    s = ssi_of[system, f]
+                    use = s >= 0 and v == v and p + 15 < end and (to & 3 == KIND_L or ssi[s] == 0)
+                    if use and 49 <= buf[p + 15] <= 57:
+                        ssi[s] = buf[p + 15] - 48
+                p += 16
+        first = row
+        for s in range(slots):
+            if other[system, s] >= 0:
+                take_over(s, other[system, s], value, lli, ssi)
+        for s in range(slots):
+            code, phase, doppler, cn0 = value[4 * s], value[4 * s + 1], value[4 * s + 2], value[4 * s + 3]
+            if code != code and phase != phase and doppler != doppler and cn0 != cn0:
+                continue
+            if ssi[s] > 0 and cn0 != cn0:
+                cn0 = 6.0 * ssi[s] + 3.0  # middle of its class, RINEX 3.05 section 5.7
+            out_sv[row], out_sig[row], out_lli[row] = sv, sig[system, s], lli[s]
+            values[0, row], values[1, row], values[2, row], values[3, row] = code, phase, doppler, cn0
+            row += 1
+        if row == first:
+            out_sv[row], out_sig[row], out_lli[row] = sv, sig[system, 0], 0
+            for k in range(4):
+                values[k, row] = np.nan
+            row += 1
     return row
 
 
 @njit
-def sort_lines(n: int, scratch: Scratch) -> None:
-    """Sort the epoch's lines by satellite (insertion, stable: they mostly are)."""
-    for i in range(1, n):
-        sv, start, end = scratch.sv[i], scratch.start[i], scratch.end[i]
+def sort_satellites(n: int, scratch: Scratch) -> None:
+    """Order of the epoch's satellites by identifier (insertion, stable: they mostly are in order)."""
+    sv, order = scratch.sv, scratch.order
+    for i in range(n):
         j = i - 1
-        while j >= 0 and scratch.sv[j] > sv:
-            scratch.sv[j + 1] = scratch.sv[j]
-            scratch.start[j + 1] = scratch.start[j]
-            scratch.end[j + 1] = scratch.end[j]
+        while j >= 0 and sv[order[j]] > sv[i]:
+            order[j + 1] = order[j]
             j -= 1
-        scratch.sv[j + 1], scratch.start[j + 1], scratch.end[j + 1] = sv, start, end
+        order[j + 1] = i
 
 
 @njit
@@ -454,7 +461,7 @@ def read_body(
                 if layout.n_slots[sv >> 8] == 0:
                     note(problems, UNDECLARED, line)
                 else:
-                    scratch.sv[n_sat], scratch.start[n_sat], scratch.end[n_sat] = sv, line, end
+                    scratch.sv[n_sat], scratch.start[n_sat], scratch.end[n_sat] = sv, line + 3, end
                     need += layout.n_slots[sv >> 8]
                     n_sat += 1
             line = eol + 1
@@ -467,26 +474,8 @@ def read_body(
             note(problems, SAT_COUNT, pos)
         if not clock_ok:
             note(problems, BAD_VALUE, pos)
-        sort_lines(n_sat, scratch)
-        for i in range(n_sat):
-            sv = scratch.sv[i]
-            if i > 0 and sv == scratch.sv[i - 1]:
-                note(problems, SAT_TWICE, scratch.start[i])
-                continue
-            system = sv >> 8
-            clear_record(layout.n_slots[system], scratch)
-            read_fields(
-                buf,
-                scratch.start[i] + 3,
-                scratch.end[i],
-                system,
-                0,
-                layout.n_fields[system],
-                layout,
-                scratch,
-                problems,
-            )
-            row = emit_record(sv, system, row, layout, scratch, out)
+        sort_satellites(n_sat, scratch)
+        row = read_records(buf, n_sat, row, layout, scratch, problems, out)
         out.t[epoch], out.flag[epoch], out.clock[epoch], out.at[epoch] = label, flag, clock, pos
         out.offsets[epoch + 1] = row
         state[EPOCHS], state[ROWS] = epoch + 1, row
@@ -495,11 +484,9 @@ def read_body(
     return DONE
 
 
-def new_scratch(n_slots: int) -> Scratch:
-    """Work space for records of at most ``n_slots`` signals."""
-    lines: tuple[Any, ...] = tuple(np.zeros(MAX_LINES, dtype=np.int64) for _ in range(3))
-    small: tuple[Any, ...] = tuple(np.zeros(n_slots, dtype=np.uint8) for _ in range(3))
-    return Scratch(*lines, np.zeros((n_slots, 4)), *small)
-
-
-assert len(SYSTEMS) == N_SYSTEMS
+def new_scratch(n_slots: int, lines: int) -> Scratch:
+    """Work space for records of at most ``n_slots`` signals on ``lines`` lines."""
+    sv, order = np.zeros(MAX_LINES, dtype=np.int64), np.zeros(MAX_LINES, dtype=np.int64)
+    start, end = np.zeros(MAX_LINES * lines, dtype=np.int64), np.zeros(MAX_LINES * lines, dtype=np.int64)
+    lli, ssi = np.zeros(n_slots, dtype=np.uint8), np.zeros(n_slots, dtype=np.uint8)
+    return Scratch(sv, order, start, end, np.zeros(4 * n_slots), lli, ssi)

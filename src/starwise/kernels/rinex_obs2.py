@@ -24,7 +24,6 @@ from starwise.kernels.rinex_obs import (
     NEED,
     POS,
     ROWS,
-    SAT_TWICE,
     SLIP_RECORDS,
     SPLICE,
     TO,
@@ -33,15 +32,13 @@ from starwise.kernels.rinex_obs import (
     Layout,
     Output,
     Scratch,
-    clear_record,
-    emit_record,
     is_version_line,
     label_ns,
     line_feed,
     note,
-    read_fields,
+    read_records,
     satellite,
-    sort_lines,
+    sort_satellites,
     text_end,
 )
 from starwise.kernels.text import parse_float, parse_int
@@ -130,7 +127,6 @@ def satellite_lines(buf: NDArray[np.uint8], pos: int, count: int, per: int, scra
     """Where each satellite's lines start: satellites whole, position after them, 0 good / 1 cut / 2 shifted."""
     n = len(buf)
     for i in range(count):
-        scratch.start[i] = pos
         for j in range(per):
             if pos >= n:
                 return i, n, 2 if buf[n - 1] == 10 else 1
@@ -140,8 +136,8 @@ def satellite_lines(buf: NDArray[np.uint8], pos: int, count: int, per: int, scra
                 return i, pos, 2
             if eol == n and (i < count - 1 or j < per - 1):
                 return i, n, 1
+            scratch.start[i * per + j], scratch.end[i * per + j] = pos, min(end, pos + 80)
             pos = eol + 1
-        scratch.end[i] = min(pos, n)
     rest = pos
     while rest < n and (buf[rest] == 32 or buf[rest] == 10 or buf[rest] == 13):
         rest += 1
@@ -152,27 +148,6 @@ def satellite_lines(buf: NDArray[np.uint8], pos: int, count: int, per: int, scra
     if epoch_record2(buf, pos, end)[1] >= 0 or is_version_line(buf, pos, end):
         return count, pos, 0
     return count, pos, 2
-
-
-@njit
-def read_record2(
-    buf: NDArray[np.uint8],
-    start: int,
-    end: int,
-    system: int,
-    layout: Layout,
-    scratch: Scratch,
-    problems: NDArray[np.int64],
-) -> None:
-    """Fields of one satellite, five a line."""
-    fields = layout.n_fields[system]
-    first = 0
-    while first < fields and start < end:
-        eol = line_feed(buf, start, end)
-        text = min(text_end(buf, start, eol), start + 80)
-        read_fields(buf, start, text, system, first, min(first + 5, fields), layout, scratch, problems)
-        first += 5
-        start = eol + 1
 
 
 @njit
@@ -187,7 +162,7 @@ def read_body2(
     """Epochs of a RINEX 2 body; parameters and result as for `starwise.kernels.rinex_obs.read_body`."""
     n = len(buf)
     pos = state[POS]
-    per = (np.max(layout.n_fields) + 4) // 5
+    per = (np.max(layout.n_fields) + layout.per_line - 1) // layout.per_line
     while pos < n:
         eol = line_feed(buf, pos, n)
         end = text_end(buf, pos, eol)
@@ -242,18 +217,8 @@ def read_body2(
             clock, ok = parse_float(buf, pos + 68, min(pos + 80, end))
             if not ok:
                 note(problems, BAD_VALUE, pos)
-        sort_lines(whole, scratch)
-        for i in range(whole):
-            sv = scratch.sv[i]
-            if sv < 0:
-                continue
-            if i > 0 and sv == scratch.sv[i - 1]:
-                note(problems, SAT_TWICE, pos)
-                continue
-            system = sv >> 8
-            clear_record(layout.n_slots[system], scratch)
-            read_record2(buf, scratch.start[i], scratch.end[i], system, layout, scratch, problems)
-            row = emit_record(sv, system, row, layout, scratch, out)
+        sort_satellites(whole, scratch)
+        row = read_records(buf, whole, row, layout, scratch, problems, out)
         out.t[epoch], out.flag[epoch], out.clock[epoch], out.at[epoch] = label, flag, clock, pos
         out.offsets[epoch + 1] = row
         state[EPOCHS], state[ROWS] = epoch + 1, row
