@@ -444,6 +444,31 @@ class Sightings:
 
 
 @dataclass(frozen=True)
+class Inertial:
+    """Readings of an inertial measurement unit, body axes forward, right, down.
+
+    Attributes
+    ----------
+    t_ns : (n,) int64
+        GPST, ns, strictly increasing; increments belong to the interval that ends there.
+    dt_s : (n,) float64
+        Length of the interval, s.
+    gyro : (n, 3) float64
+        Angular rate against inertial space, rad/s; or its integral over the interval, rad.
+    accel : (n, 3) float64
+        Specific force, m/s^2; or its integral over the interval (in the turning body axes), m/s.
+    increments : bool
+        Whether the readings are integrals.
+    """
+
+    t_ns: I8
+    dt_s: F8
+    gyro: F8
+    accel: F8
+    increments: bool
+
+
+@dataclass(frozen=True)
 class Layout:
     """Names of the state's elements, in order: ``pos.x``, ``vel.y``, ``acc.z``, ``clk.G``, ``drift.C`` ..."""
 

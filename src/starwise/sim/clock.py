@@ -28,6 +28,8 @@ GRADES: Final[dict[str, tuple[float, float]]] = {
 }
 """White and random walk frequency noise coefficients of oscillators."""
 MILLISECOND: Final = 1e-3
+STEER_LIMIT_S: Final = 0.51e-3
+"""Offset at which a steered clock is set: past half a millisecond, so that noise cannot set it back and forth."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ class ReceiverClock:
     bias_s, drift : float
         State at the first sample, s and s/s.
     steered : bool
-        By whole milliseconds, whenever the offset passes half a millisecond.
+        By whole milliseconds, whenever the offset passes `STEER_LIMIT_S`.
     """
 
     h0_s: float
@@ -119,21 +121,15 @@ class ReceiverClock:
 
 
 def _steering(free_s: F8) -> F8:
-    """Milliseconds added to a free-running offset so that it stays within half a millisecond, with memory.
-
-    A step is taken only when the steered offset passes the limit, so that noise about the limit does not make it
-    jump back and forth.
-    """
+    """Whole milliseconds added to a free-running offset so that it stays within `STEER_LIMIT_S`."""
     steered = np.zeros_like(free_s)
     offset, start = 0.0, 0
     while True:
-        beyond = np.abs(free_s[start:] + offset) > 0.5 * MILLISECOND
+        beyond = np.abs(free_s[start:] + offset) > STEER_LIMIT_S
         if not beyond.any():
             steered[start:] = offset
             return steered
         at = start + int(np.argmax(beyond))
         steered[start:at] = offset
-        offset -= MILLISECOND * np.round((free_s[at] + offset) / MILLISECOND)
+        offset -= MILLISECOND * float(np.round((free_s[at] + offset) / MILLISECOND))
         start = at
-        if abs(free_s[at] + offset) > 0.5 * MILLISECOND:  # exactly half, rounded away
-            offset -= np.copysign(MILLISECOND, free_s[at] + offset)

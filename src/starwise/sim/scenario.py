@@ -66,7 +66,8 @@ class Scenario(Checked):
         StarwiseError
             A segment that cannot be flown; a recorded file that cannot be used or is too short.
         """
-        from starwise.sim.trajectory import MARGIN_S, from_segments, read_recorded
+        from starwise.sim.flight import MARGIN_S
+        from starwise.sim.trajectory import from_segments, read_recorded
 
         start_ns, duration_s = self.time.start_ns, self.time.duration_s
         if self.vehicle.recorded is None:
