@@ -135,7 +135,7 @@ def detect(data: bytes) -> FileKind:
     version, letter = first[:9].strip(), first[20:21].upper()
     system = first[40:41].upper().strip()
     if label == "RINEX VERSION / TYPE":
-        old_nav = {"N": "G", "G": "R", "H": "S", "L": "E"}
+        old_nav = {"N": "G", "G": "R", "H": "S", "L": "E", "E": "E"}
         if letter == "O":
             return FileKind("rinex_obs", version, system)
         if letter in old_nav:
