@@ -12,6 +12,7 @@ from starwise.kernels.atmosphere import (
     saastamoinen,
     troposphere,
     zenith_delays,
+    zenith_delays_mops,
 )
 
 ALPHA_BETA = np.array([0.382e-7, 0.149e-7, -0.179e-6, 0.0, 0.143e6, 0.0, -0.328e6, 0.113e6])
@@ -36,9 +37,7 @@ def test_klobuchar_equals_rtklib():
     for _ in range(300):
         lat, lon = rng.uniform(-math.pi / 2, math.pi / 2), rng.uniform(-math.pi, math.pi)
         az, el, tow = rng.uniform(0, 2 * math.pi), rng.uniform(0.01, math.pi / 2), rng.uniform(0, 604800)
-        want = rtk.ionmodel(
-            rtk.gpst2time(2000, tow), array(ALPHA_BETA), array([lat, lon, 100.0]), array([az, el])
-        )
+        want = rtk.ionmodel(rtk.gpst2time(2000, tow), array(ALPHA_BETA), array([lat, lon, 100.0]), array([az, el]))
         # 1 um: the same formula, other order of operations
         assert klobuchar(ALPHA_BETA, lat, lon, az, el, tow) == pytest.approx(want, abs=1e-6)
 
@@ -106,7 +105,29 @@ def test_zenith_total_is_plausible():
     zhd, zwd = zenith_delays(45 * DEG, 0.0, 0.7)
     assert 2.29 < zhd < 2.32  # m: 1013 hPa (Davis et al. 1985 have 2.307 m)
     assert 0.08 < zwd < 0.16  # m: 12 hPa of vapour
-    assert sum(troposphere(45 * DEG, 0.0, math.pi / 2, 100.0)) == pytest.approx(zhd + zwd, abs=1e-12)
+    seasonal = zenith_delays_mops(45 * DEG, 0.0, 100.0)
+    assert sum(troposphere(45 * DEG, 0.0, math.pi / 2, 100.0)) == pytest.approx(sum(seasonal), abs=1e-12)
+    assert seasonal[0] == pytest.approx(zhd, abs=0.03)  # m: the mean pressures differ by a few hPa
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize(
+    ("lat_deg", "doy", "zhd", "zwd"),
+    [
+        # Worked outside the package from table A-2 and the formulas of DO-229E A.4.2.4 at sea level.
+        (15.0, 28.0, 2.3070, 0.2745),
+        (45.0, 28.0, 2.3178, 0.0616),
+        (75.0, 211.0, 2.3053, 0.1120),
+    ],
+)
+def test_seasonal_zenith_delays(lat_deg, doy, zhd, zwd):
+    got = zenith_delays_mops(lat_deg * DEG, 0.0, doy)
+    assert got[0] == pytest.approx(zhd, abs=5e-4)
+    assert got[1] == pytest.approx(zwd, abs=5e-4)
+    # The southern winter is half a year later.
+    assert zenith_delays_mops(-lat_deg * DEG, 0.0, 211.0) == pytest.approx(
+        zenith_delays_mops(lat_deg * DEG, 0.0, 28.0), abs=1e-4
+    )
 
 
 @pytest.mark.laws

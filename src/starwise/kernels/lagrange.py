@@ -46,6 +46,8 @@ class Nodes(NamedTuple):
         Nominal interval.
     t0_ns : int
         Instant whose Earth-fixed axes the orbits' frame has.
+    first_ns, last_ns : int
+        Span of the whole table.
     """
 
     row: I4
@@ -55,6 +57,8 @@ class Nodes(NamedTuple):
     sigma: F8
     step_ns: int
     t0_ns: int
+    first_ns: int
+    last_ns: int
 
 
 @njit
@@ -73,8 +77,11 @@ def _place(t_ns: I8, lo: int, hi: int, t: float, origin: int) -> int:
 def clock_at(clocks: Nodes, row: int, origin: int, t: float) -> tuple[float, float, float]:
     """Clock offset, s, its rate, s/s, and sigma, s, at ``origin`` ns + ``t`` s; NaN where there is none.
 
-    Straight line between two samples at most `MAX_GAP` intervals apart; beyond the ends at most one interval.
+    Row -1 has none. Straight line between two samples at most `MAX_GAP` intervals apart; beyond the ends at most one
+    interval.
     """
+    if row < 0:
+        return np.nan, np.nan, np.nan
     lo, hi = clocks.offsets[row], clocks.offsets[row + 1]
     if hi - lo < 2:
         return np.nan, np.nan, np.nan
@@ -164,6 +171,7 @@ def precise_states(
     code_m: F8,
     orbits: Nodes,
     clocks: Nodes,
+    other: Nodes,
     floor_m: float,
     pos_e: F8,
     vel_e: F8,
@@ -178,7 +186,8 @@ def precise_states(
     """Satellite states at transmission for rows (time of reception, satellite, pseudorange) from tables.
 
     The periodic relativistic term -2 r v / c^2 is added to the clock (SP3-d and RINEX clock conventions leave it
-    out; IS-GPS-200N 20.3.3.3.3.1). ``floor_m`` joins every sigma. Outputs as in `starwise.types.SatStates`.
+    out; IS-GPS-200N 20.3.3.3.3.1). ``other`` has the clocks of times outside the span of ``clocks``; ``floor_m`` joins
+    every sigma. Outputs as in `starwise.types.SatStates`.
     """
     p, v = np.empty((N_NODES, 3)), np.empty((N_NODES, 3))
     x, sample = np.empty(N_NODES), np.empty(2)
@@ -191,7 +200,7 @@ def precise_states(
         sigma_m[i] = np.nan
         age_s[i] = np.nan
         t_tx_ns[i] = t_rx_ns[i]
-        row, clock_row = orbits.row[sv[i]], clocks.row[sv[i]]
+        row = orbits.row[sv[i]]
         if row < 0:
             status[i] = SAT_NO_EPHEMERIS
             continue
@@ -199,9 +208,13 @@ def precise_states(
         flight = 0.0 if missing else code_m[i] / C_LIGHT
         origin = t_rx_ns[i]
         clock, rate, clock_sigma = np.nan, np.nan, np.nan
-        if clock_row >= 0:
-            clock, rate, clock_sigma = clock_at(clocks, clock_row, origin, -flight)
-            clock, rate, clock_sigma = clock_at(clocks, clock_row, origin, -flight - clock)
+        inside = clocks.first_ns - clocks.step_ns <= origin <= clocks.last_ns + clocks.step_ns
+        for _ in range(2):
+            t = -flight - (clock if clock == clock else 0.0)
+            if inside:
+                clock, rate, clock_sigma = clock_at(clocks, clocks.row[sv[i]], origin, t)
+            else:
+                clock, rate, clock_sigma = clock_at(other, other.row[sv[i]], origin, t)
         t = -flight - (clock if clock == clock else 0.0)
         state, outside = orbit_at(orbits, row, origin, t, p, v, x, sample)
         if state == SAT_OK and clock != clock:

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from starwise.constants import OMEGA_E_GPS, SYSTEMS
 from starwise.errors import StarwiseError
+from starwise.gnsstime import iso
 from starwise.kernels.lagrange import Nodes, precise_states
 from starwise.physics.broadcast import BroadcastEphemeris, empty_states
 from starwise.physics.group_delay import PRECISE_CLOCK
@@ -18,10 +19,11 @@ FLOOR_SIGMA_M = 0.5
 class PreciseEphemeris:
     r"""Satellite states by tabulated orbits and clocks, ECEF (the product's ITRF) and GPST.
 
-    Orbits: polynomial of degree 10 through the 11 nearest nodes, in axes that do not rotate with the Earth; velocity is
-    its derivative. Clocks: straight lines; from ``clocks`` if given and then from nowhere else, so that two products
-    with different time references are never mixed. Nothing is extrapolated beyond one interval of the table, holes
-    of more than three intervals are not bridged. The law: at a node the position is the node's.
+    Orbits: polynomial of degree 10 through the 11 nearest nodes, in axes that do not rotate with the Earth; velocity
+    is its derivative. Clocks: straight lines; within the span of ``clocks``, if given, from there and nowhere else,
+    so that two products with different time references never meet in an epoch. Nothing is extrapolated beyond one
+    interval of the table, holes of more than three intervals are not bridged. The law: at a node the position is
+    the node's.
 
     Positions are **centres of mass**. The offset of the antenna's phase centre, which the clocks of the products take
     for granted, is not applied (it needs the ANTEX file of the product): 0.6 to 2.7 m towards the Earth, mostly
@@ -32,10 +34,15 @@ class PreciseEphemeris:
     ----------
     orbits : PreciseOrbits
     clocks : PreciseClocks, optional
-        Clocks in place of those of ``orbits``.
+        Clocks in place of those of ``orbits``, for the time that they cover.
     broadcast : BroadcastEphemeris, optional
         Source of group delays (and of GLONASS channels): without it only the pair of signals that the clocks belong
         to is free of unknown delays.
+
+    Attributes
+    ----------
+    notes : tuple of str
+        What a user of these products should know, for people.
 
     Raises
     ------
@@ -59,7 +66,9 @@ class PreciseEphemeris:
         self.broadcast = broadcast
         self.channels: dict[int, int] = dict(broadcast.channels) if broadcast else {}
         self._orbits = _orbit_nodes(orbits)
-        self._clocks = _clock_nodes(clocks) if clocks is not None else _sp3_clock_nodes(orbits)
+        self._sp3_clocks = _sp3_clock_nodes(orbits)
+        self._clocks = self._sp3_clocks if clocks is None else _clock_nodes(clocks)
+        self.notes: tuple[str, ...] = _notes(self._orbits, self._clocks)
         self._frequency = frequency_table(self.channels)
 
     def states(self, t_rx_ns: I8, sv: I2, code_m: F8, post: bool = False) -> SatStates:
@@ -77,6 +86,7 @@ class PreciseEphemeris:
             np.ascontiguousarray(code_m, dtype=np.float64),
             self._orbits,
             self._clocks,
+            self._sp3_clocks,
             FLOOR_SIGMA_M,
             out.pos_e,
             out.vel_e,
@@ -120,6 +130,15 @@ def _on_reference(sv: I2, sig: I2, sig2: I2) -> NDArray[np.bool_]:
     return same
 
 
+def _notes(orbits: Nodes, clocks: Nodes) -> tuple[str, ...]:
+    """Remark on a clock file that does not span the orbits."""
+    margin = orbits.step_ns
+    if clocks.first_ns <= orbits.first_ns + margin and clocks.last_ns >= orbits.last_ns - margin:
+        return ()
+    span = f"{iso(clocks.first_ns, 0)} to {iso(clocks.last_ns, 0)}"
+    return (f"the clock file covers {span} GPST; outside, clocks are those of the orbit file",)
+
+
 def _step_ns(t_ns: I8) -> int:
     """Nominal interval of a table: the median."""
     return int(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 1
@@ -143,6 +162,8 @@ def _ragged(orbits: PreciseOrbits, value: F8, sigma: F8, t0_ns: int) -> Nodes:
         sigma=np.ascontiguousarray(sigma[have], dtype=np.float64),
         step_ns=_step_ns(orbits.t_ns),
         t0_ns=t0_ns,
+        first_ns=int(orbits.t_ns[0]),
+        last_ns=int(orbits.t_ns[-1]),
     )
 
 
@@ -173,5 +194,7 @@ def _clock_nodes(clocks: PreciseClocks) -> Nodes:
         value=np.ascontiguousarray(clocks.clock_s[have][:, None], dtype=np.float64),
         sigma=np.ascontiguousarray(clocks.sigma_s[have], dtype=np.float64),
         step_ns=int(np.median(steps)) if len(steps) else 1,
-        t0_ns=int(clocks.t_ns[0]) if len(clocks.t_ns) else 0,
+        t0_ns=0,
+        first_ns=int(clocks.t_ns.min()) if len(clocks.t_ns) else 0,
+        last_ns=int(clocks.t_ns.max()) if len(clocks.t_ns) else 0,
     )
