@@ -154,6 +154,7 @@ def run(name: str, n: int, folder: Path, seed: int = 20240330) -> tuple[int, int
     return good, refused
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("name", SAMPLES)
 def test_mutations(name: str, tmp_path: Path) -> None:
     good, refused = run(name, N_JIT, tmp_path)

@@ -186,7 +186,7 @@ def ura_index_m(index: F8) -> F8:
 
     15 and -16 say that there is no prediction (inf); NaN stays NaN.
     """
-    n = np.round(index)
+    n = np.clip(np.round(index), -16.0, 15.0)
     ura = np.where(n <= 6, 2.0 ** (1.0 + n / 2.0), 2.0 ** (n - 2.0))
-    ura = np.where((n >= 15) | (n <= -16), np.inf, ura)
+    ura = np.where((n == 15) | (n == -16), np.inf, ura)
     return np.where(np.isnan(index), np.nan, ura)

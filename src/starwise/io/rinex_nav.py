@@ -78,6 +78,10 @@ def read_nav(*paths: str | Path) -> BroadcastRecords:
     that are damaged or make no orbit are left out. All of it is counted in ``counts`` and, with file and
     line, in ``problems``.
 
+    ``counts`` has ``records`` (of every kind), ``STO``, ``EOP`` and ``ION`` records, ephemerides by system and
+    message (``E FNAV``), those left out as ``corrupt``, ``unsupported``, ``duplicate`` or ``contradictory``, and the
+    ones ``kept``.
+
     What is decided where files are ambiguous:
 
     * toe is the instant nearest to toc with the given seconds of week: week numbers of the wrong count (GPS weeks
@@ -222,7 +226,8 @@ def _assemble(table: I8, values: F8, at_line: I8, rows: np.ndarray, reading: _Re
         convert = tabulated if system in (SYS_R, SYS_S) else None
         args = (table[at, C_PRN], table[at, C_LABEL], at_line[at], values[at])
         records, faults = convert(system, *args) if convert else keplerian(system, message, *args)
-        reading.counts[f"{SYSTEMS[system]} {MESSAGE_NAMES[message]}"] += len(at)
+        for m, number in zip(*np.unique(records.message, return_counts=True), strict=True):
+            reading.counts[f"{SYSTEMS[system]} {MESSAGE_NAMES[m]}"] += int(number)
         good = _sound(records, faults, SYSTEMS[system], reading)
         if good.any():
             part = take(records, good)

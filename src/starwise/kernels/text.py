@@ -23,7 +23,7 @@ def parse_int(buf: U1, start: int, end: int) -> tuple[int, bool]:
     value = 0
     digits = 0
     while i < end and 48 <= buf[i] <= 57 and digits < 18:
-        value = value * 10 + (np.int64(buf[i]) - 48)
+        value = value * 10 + int(np.int64(buf[i]) - 48)
         digits += 1
         i += 1
     while i < end and buf[i] == 32:
@@ -56,7 +56,7 @@ def parse_float(buf: U1, start: int, end: int) -> tuple[float, bool]:
     while i < end and 48 <= buf[i] <= 57:
         seen = True
         if digits < 18:
-            mantissa = mantissa * 10 + (np.int64(buf[i]) - 48)
+            mantissa = mantissa * 10 + int(np.int64(buf[i]) - 48)
             if mantissa > 0:
                 digits += 1
         else:
@@ -67,7 +67,7 @@ def parse_float(buf: U1, start: int, end: int) -> tuple[float, bool]:
         while i < end and 48 <= buf[i] <= 57:
             seen = True
             if digits < 18:
-                mantissa = mantissa * 10 + (np.int64(buf[i]) - 48)
+                mantissa = mantissa * 10 + int(np.int64(buf[i]) - 48)
                 scale -= 1
                 if mantissa > 0:
                     digits += 1
@@ -85,7 +85,7 @@ def parse_float(buf: U1, start: int, end: int) -> tuple[float, bool]:
         while i < end and 48 <= buf[i] <= 57:
             any_digit = True
             if exponent < 10000:
-                exponent = exponent * 10 + (np.int64(buf[i]) - 48)
+                exponent = exponent * 10 + int(np.int64(buf[i]) - 48)
             i += 1
         if not any_digit:
             return np.nan, False
