@@ -123,6 +123,15 @@ def satellite_list(
 
 
 @njit
+def is_value_line(buf: NDArray[np.uint8], start: int, end: int) -> bool:
+    """Whether a line is blank or has the decimal point of an F14.3 field: no epoch record, not even a damaged one."""
+    for k in range(start + 10, end, 16):
+        if buf[k] == 46:
+            return True
+    return end == start
+
+
+@njit
 def satellite_lines(buf: NDArray[np.uint8], pos: int, count: int, per: int, scratch: Scratch) -> tuple[int, int, int]:
     """Where each satellite's lines start: satellites whole, position after them, 0 good / 1 cut / 2 shifted."""
     n = len(buf)
@@ -145,9 +154,7 @@ def satellite_lines(buf: NDArray[np.uint8], pos: int, count: int, per: int, scra
         return count, n, 0
     eol = line_feed(buf, pos, n)
     end = text_end(buf, pos, eol)
-    if epoch_record2(buf, pos, end)[1] >= 0 or is_version_line(buf, pos, end):
-        return count, pos, 0
-    return count, pos, 2
+    return count, pos, 2 if is_value_line(buf, pos, end) else 0
 
 
 @njit
