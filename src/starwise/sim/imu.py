@@ -285,11 +285,11 @@ def _perfect(trajectory: Trajectory, t_ns: I8, increments: bool) -> Inertial:
             out[a:b] = chebyshev.chebvander(x, coef.shape[1] - 1) @ coef[k]
     dt_s = np.diff(t_ns) * 1e-9
     if not increments:
-        return Inertial(t_ns, np.append(dt_s[:1], dt_s), out[:, :3], out[:, 3:], False)
+        return Inertial(t_ns, np.append(dt_s[:1], dt_s), out[:, :3].copy(), out[:, 3:].copy(), False)
     # Whole panels that end between two readings: exactly zero within a panel, so that nothing is lost there.
     whole = np.concatenate([np.zeros((1, 6)), np.cumsum(coef.sum(axis=1), axis=0)])
     step = np.diff(out, axis=0) + np.diff(whole[which], axis=0)
-    return Inertial(t_ns[1:], dt_s, step[:, :3], step[:, 3:], True)
+    return Inertial(t_ns[1:], dt_s, step[:, :3].copy(), step[:, 3:].copy(), True)
 
 
 def _measured(true: F8, perfect: Inertial, errors: SensorErrors, streams: Streams, name: str) -> tuple[F8, F8, F8]:
