@@ -129,12 +129,12 @@ def drive() -> np.ndarray:
     """East, north, up (m) every tenth of a second: rest, laps of a block with rounded corners, a stop, rest."""
     dt, n = 0.1, EPOCHS * 10 + 20
     t = np.arange(n) * dt
-    target = np.where((t > 45) & (t < 270), 12.0, 0.0) + np.where((t > 300) & (t < 560), 14.0, 0.0)
+    target = np.where((t > 45) & (t < 270), 11.0, 0.0) + np.where((t > 300) & (t < 560), 13.0, 0.0)
     speed = np.zeros(n)
     for k in range(1, n):
         speed[k] = speed[k - 1] + np.clip(target[k] - speed[k - 1], -2.0 * dt, 1.5 * dt)
     s = np.cumsum(speed) * dt
-    side, radius = 260.0, 25.0
+    side, radius = 200.0, 60.0
     corner = radius * np.pi / 2
     lap = s % (4 * (side + corner))
     leg, along = np.divmod(lap, side + corner)
