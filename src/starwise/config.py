@@ -88,6 +88,10 @@ class Checked:
         try:
             return cls(**values)
         except StarwiseError as error:
+            if prefix and error.message.startswith("'") and prefix not in error.message:
+                # a check of the whole table names its own key, not where the table stands
+                message = f"'{prefix}{error.message[1:]}"
+                error = StarwiseError(message, found=error.found, wanted=error.wanted)
             raise _with_file(error, file) from None
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Sections of a scenario: ``[time] [vehicle] [sky] [receiver] [imu] [[faults]] [output]``, typed and checked."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
@@ -22,6 +23,14 @@ Degrees = Annotated[float, Range(-360.0, 360.0)]
 Size = Annotated[float, Range(0.0, 1e12)]
 
 
+def _named(key: str, parse: Callable[[str], int], text: str) -> int:
+    """What ``parse`` makes of a text; its error names the key."""
+    try:
+        return parse(text)
+    except StarwiseError as error:
+        raise StarwiseError(f"'{key}' is {error.message}", found=error.found, wanted=error.wanted) from None
+
+
 @dataclass(frozen=True)
 class Time(Checked):
     """``[time]``: when, how long, how often."""
@@ -35,7 +44,7 @@ class Time(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        parse_time(self.start)
+        _named("start", parse_time, self.start)
 
     @property
     def start_ns(self) -> int:
@@ -71,16 +80,16 @@ class Vehicle(Checked):
         super().__post_init__()
         if self.recorded is not None:
             if self.segments or self.start:
-                raise StarwiseError("'vehicle.recorded' excludes start and segments", found=self.recorded)
+                raise StarwiseError("'recorded' excludes start and segments", found=self.recorded)
             return
         if len(self.start) != 3 or abs(self.start[0]) > 90.0 or abs(self.start[1]) > 360.0:
             raise StarwiseError(
-                "'vehicle.start' is not a place",
+                "'start' is not a place",
                 found=str(list(self.start)),
                 wanted="[latitude deg, longitude deg, height m]",
             )
         if not self.segments:
-            raise StarwiseError("'vehicle.segments' is missing", wanted="at least one [[vehicle.segments]]")
+            raise StarwiseError("'segments' is missing", wanted="at least one [[vehicle.segments]]")
 
 
 @dataclass(frozen=True)
@@ -99,12 +108,12 @@ class Sky(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in self.exclude:
-            sv_id(name)
+            _named("exclude", sv_id, name)
         if (self.source == "tables") == bool(self.files):
             wanted = "no files with source tables" if self.files else f"the files of source {self.source}"
-            raise StarwiseError("'sky.files' does not fit 'sky.source'", found=str(list(self.files)), wanted=wanted)
+            raise StarwiseError("'files' does not fit the source", found=str(list(self.files)), wanted=wanted)
         if not self.constellations:
-            raise StarwiseError("'sky.constellations' is empty", wanted=" | ".join(SYSTEM_OF))
+            raise StarwiseError("'constellations' is empty", wanted=" | ".join(SYSTEM_OF))
 
 
 @dataclass(frozen=True)
@@ -215,20 +224,20 @@ class Receiver(Checked):
         super().__post_init__()
         for system, names in self.signals.items():
             if len(system) != 1 or system not in SYSTEMS:
-                raise StarwiseError("'receiver.signals' not a system", found=system, wanted=f"a letter of {SYSTEMS}")
+                raise StarwiseError("'signals' not a system", found=system, wanted=f"a letter of {SYSTEMS}")
             for name in names:
-                band = signal_id(name) >> 8
+                band = _named("signals", signal_id, name) >> 8
                 if (SYSTEMS.index(system), band) not in FREQUENCY and (system, band) not in (("R", 1), ("R", 2)):
-                    raise StarwiseError("'receiver.signals' has no such band", found=f"{system} {name}")
+                    raise StarwiseError("'signals' has no such band", found=f"{system} {name}")
         for mask in self.azimuth_masks_deg:
             if len(mask) != 3 or not -90.0 <= mask[2] <= 90.0:
                 raise StarwiseError(
-                    "'receiver.azimuth_masks_deg' has one that is none",
+                    "'azimuth_masks_deg' has one that is none",
                     found=str(list(mask)),
                     wanted="[azimuth from, azimuth to, elevation], degrees",
                 )
         if len(self.lever_arm_m) != 3:
-            raise StarwiseError("'receiver.lever_arm_m' is not a place", wanted="[forward, right, down] in m")
+            raise StarwiseError("'lever_arm_m' is not a place", wanted="[forward, right, down] in m")
 
 
 @dataclass(frozen=True)
@@ -301,17 +310,18 @@ class Fault(Checked):
         super().__post_init__()
         for name in self.satellites:
             if not (len(name) == 1 and name in SYSTEMS):
-                sv_id(name)
+                _named("satellites", sv_id, name)
         for name in self.signals:
-            signal_id(name)
+            _named("signals", signal_id, name)
         if self.kind != "outage" and self.size == 0.0:
-            raise StarwiseError(f"'faults' {self.kind} without a size", wanted="size = a number other than 0")
+            raise StarwiseError(f"'size' of a {self.kind} is missing", wanted="a number other than 0")
         if self.kind == "burst" and self.size < 0.0:
-            raise StarwiseError("'faults' burst with negative noise", found=f"{self.size:g}", wanted="size > 0")
+            raise StarwiseError("'size' of a burst is negative noise", found=f"{self.size:g}", wanted="above 0")
         if self.sensor != "gnss" and self.kind not in ("outage", "step", "ramp", "burst"):
-            raise StarwiseError(f"'faults' {self.kind} is not for {self.sensor}", wanted="outage, step, ramp, burst")
+            wanted = "outage | step | ramp | burst"
+            raise StarwiseError(f"'kind' is not for the {self.sensor}", found=self.kind, wanted=wanted)
         if self.sensor != "gnss" and (self.satellites or self.signals):
-            raise StarwiseError(f"'faults' satellites and signals are not for {self.sensor}")
+            raise StarwiseError(f"'sensor' {self.sensor} has no satellites and signals")
 
     def active(self, t_s: Any) -> Any:
         """Whether the fault is on at times since the scenario's start, s (scalar or array)."""

@@ -38,14 +38,7 @@ class Segment(Checked):
             raise StarwiseError(f"'{prefix}kind' is missing", file=file, wanted=wanted)
         if not isinstance(kind, str) or kind not in KINDS:
             raise StarwiseError(f"'{prefix}kind' has no such choice", file=file, found=str(kind), wanted=wanted)
-        try:
-            made = KINDS[kind].from_dict(data, file=file, prefix=prefix)
-        except StarwiseError as error:
-            if prefix in error.message or not error.message.startswith("'"):
-                raise
-            # a check of the whole segment knows its key, not where the segment stands
-            message = f"'{prefix}{error.message[1:]}"
-            raise StarwiseError(message, file=file, found=error.found, wanted=error.wanted) from None
+        made = KINDS[kind].from_dict(data, file=file, prefix=prefix)
         assert isinstance(made, cls)
         return made
 
