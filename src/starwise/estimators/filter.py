@@ -33,7 +33,7 @@ def filter_options(config: RunConfig, motion: Motion, clocks: Clocks) -> FilterO
         intersystem_sigma0=clocks.intersystem_sigma0,
         intersystem_drift_sigma0=clocks.intersystem_drift_sigma0,
         clock_loose_m=100.0,  # a bad satellite of 100 m would still pass as a clock error
-        lost_sigma_m=1000.0,  # least squares from nothing is better; ranges bend by dx^2 / 2 rho = 2 cm there
+        lost_sigma_m=10_000.0,  # least squares from nothing is better: ranges bend by dx^2 / (2 rho) = 2 m there
         absent_s=3600.0,  # the inter-system bias is still known to 0.3 m then; the state stays small
     )
 

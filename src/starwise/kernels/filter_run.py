@@ -37,7 +37,7 @@ from starwise.kernels.rangemodel import (
     range_rate,
 )
 from starwise.kernels.spp import EpochOut, SppOptions, dops, spp_epoch, threshold
-from starwise.kernels.update import USED_CODE, USED_RATE, mirror, update_batch, update_satellite
+from starwise.kernels.update import USED_CODE, USED_RATE, mirror, update_batch, update_satellite, update_sequential
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -233,10 +233,73 @@ def _arrange(rows: Rows, out: RowModel, start: int, end: int, work: Work) -> int
 
 
 @njit
-def update_epoch(
+def _update_linear(
+    options: FilterOptions, rows: Rows, out: RowModel, m: int, x: F8, P: F8, nk: int, nc: int, at: I8,
+    x1: F8, work: Work,
+) -> tuple[float, int]:  # fmt: skip
+    """Update of x, P with rows linearised at another state x1: v = z - h(x1) - H (x - x1). NIS and its degrees."""
+    n, moving = nk + 2 * nc, nk > 3
+    for j in range(n):
+        work.dx[j] = x[j] - x1[j]
+    for k in range(m):
+        i = work.order[k]
+        work.ic[k] = nk + at[rows.clock[i]]
+        work.idr[k] = work.ic[k] + nc
+        v1, v2, ux, uy, uz, gx, gy, gz = _linearise(rows, out, i, x1, moving, work.ic[k], work.idr[k])
+        work.u[k, 0], work.u[k, 1], work.u[k, 2] = ux, uy, uz
+        work.g[k, 0], work.g[k, 1], work.g[k, 2] = gx, gy, gz
+        work.v[k, 0], work.v[k, 1] = v1, v2
+        work.r[k, 0] = out.code_var[i]
+        work.r[k, 1] = out.rate_var[i] if v2 == v2 else np.inf
+    if options.sequential:
+        nis, dof = update_sequential(
+            work.dx, P, n, moving, work.ic, work.idr, work.u, work.g, work.v, work.r, m,
+            options.gate1, options.gate2, work.vo, work.so, work.used,
+        )  # fmt: skip
+    else:
+        nis, dof = update_batch(
+            work.dx, P, n, moving, work.ic, work.idr, work.u, work.g, work.v, work.r, m,
+            options.gate1, options.gate2, work.vo, work.so, work.used,
+        )  # fmt: skip
+    for j in range(n):
+        x[j] = x1[j] + work.dx[j]
+    return nis, dof
+
+
+@njit
+def _update_satellites(
     options: FilterOptions, rows: Rows, out: RowModel, m: int, x: F8, P: F8, nk: int, nc: int, at: I8, work: Work
-) -> tuple[float, int, int]:
+) -> tuple[float, int]:
+    """Eq. 5c for all satellites: h and H at the state that the satellite before has left. NIS and its degrees."""
+    n, moving = nk + 2 * nc, nk > 3
+    nis, dof = 0.0, 0
+    for k in range(m):
+        i = work.order[k]
+        c = nk + at[rows.clock[i]]
+        d = c + nc
+        v1, v2, ux, uy, uz, gx, gy, gz = _linearise(rows, out, i, x, moving, c, d)
+        r2 = out.rate_var[i] if v2 == v2 else np.inf
+        bits, q, s1, s2 = update_satellite(
+            x, P, n, moving, c, d, ux, uy, uz, gx, gy, gz, v1, v2, out.code_var[i], r2,
+            options.gate1, options.gate2, work.a, work.b,
+        )  # fmt: skip
+        work.used[k] = bits
+        work.vo[k, 0], work.vo[k, 1], work.so[k, 0], work.so[k, 1] = v1, v2, s1, s2
+        nis += q
+        dof += (bits & 1) + (bits >> 1)
+    mirror(P, n)
+    return nis, dof
+
+
+@njit
+def update_epoch(
+    options: FilterOptions, rows: Rows, out: RowModel, m: int, x: F8, P: F8, nk: int, nc: int, at: I8,
+    x2: F8, P2: F8, work: Work,
+) -> tuple[float, int, int]:  # fmt: skip
     """Measurement update of one epoch with the rows in ``work.order``; x and P in place, row outputs written.
+
+    If it moves the position by more than 20 m, it is done once more from the prediction with the rows linearised at
+    its result (iterated EKF, Groves 3.4.1): what the curvature of the ranges leaves, 20^2 / (2 rho), is 0.01 mm.
 
     Returns
     -------
@@ -247,50 +310,27 @@ def update_epoch(
     n_used : int
         Satellites whose code was used.
     """
-    n, moving = nk + 2 * nc, nk > 3
-    nis, dof = 0.0, 0
+    n = nk + 2 * nc
+    for i in range(n):
+        x2[i] = x[i]
+        for j in range(n):
+            P2[i, j] = P[i, j]
     if options.sequential:
-        for k in range(m):
-            i = work.order[k]
-            c = nk + at[rows.clock[i]]
-            d = c + nc
-            v1, v2, ux, uy, uz, gx, gy, gz = _linearise(rows, out, i, x, moving, c, d)
-            r2 = out.rate_var[i] if v2 == v2 else np.inf
-            bits, q, s1, s2 = update_satellite(
-                x, P, n, moving, c, d, ux, uy, uz, gx, gy, gz, v1, v2, out.code_var[i], r2,
-                options.gate1, options.gate2, work.a, work.b,
-            )  # fmt: skip
-            work.used[k] = bits
-            out.v_code[i], out.s_code[i], out.v_rate[i], out.s_rate[i] = v1, s1, v2, s2
-            nis += q
-            dof += (bits & 1) + (bits >> 1)
-        mirror(P, n)
+        nis, dof = _update_satellites(options, rows, out, m, x, P, nk, nc, at, work)
     else:
-        for k in range(m):
-            i = work.order[k]
-            work.ic[k] = nk + at[rows.clock[i]]
-            work.idr[k] = work.ic[k] + nc
-            v1, v2, ux, uy, uz, gx, gy, gz = _linearise(rows, out, i, x, moving, work.ic[k], work.idr[k])
-            work.u[k, 0], work.u[k, 1], work.u[k, 2] = ux, uy, uz
-            work.g[k, 0], work.g[k, 1], work.g[k, 2] = gx, gy, gz
-            work.v[k, 0], work.v[k, 1] = v1, v2
-            work.r[k, 0] = out.code_var[i]
-            work.r[k, 1] = out.rate_var[i] if v2 == v2 else np.inf
-        for j in range(n):
-            work.dx[j] = 0.0
-        nis, dof = update_batch(
-            work.dx, P, n, moving, work.ic, work.idr, work.u, work.g, work.v, work.r, m,
-            options.gate1, options.gate2, work.vo, work.so, work.used,
-        )  # fmt: skip
-        for j in range(n):
-            x[j] += work.dx[j]
-        for k in range(m):
-            i = work.order[k]
-            out.v_code[i], out.v_rate[i] = work.vo[k, 0], work.vo[k, 1]
-            out.s_code[i], out.s_rate[i] = work.so[k, 0], work.so[k, 1]
+        nis, dof = _update_linear(options, rows, out, m, x, P, nk, nc, at, x2, work)
+    dx, dy, dz = x[0] - x2[0], x[1] - x2[1], x[2] - x2[2]
+    if dx * dx + dy * dy + dz * dz > 400.0:
+        for i in range(n):
+            x[i], x2[i] = x2[i], x[i]
+            for j in range(n):
+                P[i, j] = P2[i, j]
+        nis, dof = _update_linear(options, rows, out, m, x, P, nk, nc, at, x2, work)
     n_used = 0
     for k in range(m):
         i = work.order[k]
+        out.v_code[i], out.v_rate[i] = work.vo[k, 0], work.vo[k, 1]
+        out.s_code[i], out.s_rate[i] = work.so[k, 0], work.so[k, 1]
         out.rate_used[i] = 1 if work.used[k] & USED_RATE else 0
         if work.used[k] & USED_CODE:
             out.status[i] = ROW_USED
@@ -644,7 +684,7 @@ def filter_run(
         if m > 0:
             align_clocks(options, rows, out, m, x, P, nk, nc, at, work)
             nc = activate_clocks(options, rows, out, m, t_ns, nk, nc, belief, x2, P2, work)
-        nis, dof, n_used = update_epoch(options, rows, out, m, x, P, nk, nc, at, work)
+        nis, dof, n_used = update_epoch(options, rows, out, m, x, P, nk, nc, at, x2, P2, work)
         _count_missed(rows, m, t_ns, belief, work)
         _write(e, nk, nc, belief, ep)
         dops(out, start, end, ep.dop[e])

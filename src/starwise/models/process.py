@@ -110,8 +110,10 @@ CLOCKS: Final = Clocks(
 )
 
 PRESETS: Final[dict[str, Motion]] = {
-    # Antennas on the ground move with the solid Earth tide, up to 0.2 m in 6 h, which the model does not contain.
-    "static": Motion("static", 0.2**2 / 21600.0, 0.2**2 / 21600.0),
+    # The antenna does not move; what moves its position is error that the measurement model takes for white and that
+    # is not: the remainders of ionosphere, orbits and clocks, some 3 m in an hour. With less the filter would average
+    # errors that do not average, and believe it.
+    "static": Motion("static", 3.0**2 / 3600.0, 3.0**2 / 3600.0),
     # Walking: turning back (2.8 m/s) takes about 2 s: sigma 1 m/s after 2 s across. Stairs and slopes: 0.3 m/s.
     "pedestrian": Motion("velocity", 0.5, 0.05, velocity_sigma0=2.0),
     # Cars: braking and cornering seldom above 3-4 m/s^2, normally below 1, for about 3 s; on roads, hardly vertical.
