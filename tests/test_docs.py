@@ -1,0 +1,43 @@
+"""Documentation that names every column, key and option there is."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+from handmade import HERE, handmade_solution
+from starwise.analysis.accuracy import assess
+from starwise.config import ClockNoise, ProcessNoise, RunConfig
+from starwise.constants import EPOCH_STATUS_NAMES, ROW_STATUS_NAMES
+from starwise.io.results import solution_table
+from starwise.report.summary import summarise
+from starwise.types import Truth
+
+ROOT = Path(__file__).resolve().parents[1]
+NAMED = set(re.findall(r"`([^`]+)`", (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")))
+
+
+def test_columns_of_the_solution() -> None:
+    columns = {name for name in solution_table(handmade_solution()).columns if "_E_" not in name}
+    assert columns <= NAMED
+
+
+def test_columns_of_the_ledger() -> None:
+    source = (ROOT / "src" / "starwise" / "estimators" / "run.py").read_text(encoding="utf-8")
+    names = re.findall(r'^        "(\w+)": ', source[source.index("def make_ledger") :], re.MULTILINE)
+    assert len(names) > 10
+    at_the_edge = {"t_ns": "t_gpst_ns", "sig": "signal", "sig2": "signal2"}
+    wanted = {at_the_edge.get(name, name.replace("_rad", "_deg")) for name in names}
+    assert wanted <= NAMED
+    assert set(ROW_STATUS_NAMES) <= NAMED
+    assert set(EPOCH_STATUS_NAMES) <= NAMED
+
+
+def test_keys_of_reports() -> None:
+    solution = handmade_solution()
+    assert set(assess(solution, Truth(HERE))) <= NAMED
+    assert set(summarise(solution)) <= NAMED
+
+
+def test_keys_of_the_configuration() -> None:
+    for kind in (RunConfig, ProcessNoise, ClockNoise):
+        assert {item.name for item in dataclasses.fields(kind)} <= NAMED
