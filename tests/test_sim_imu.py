@@ -221,6 +221,10 @@ def test_one_error_source_does_not_change_another() -> None:
     np.testing.assert_array_equal(both.M_gyro, without.M_gyro)
     same = simulate_imu(at_rest(60.0), Imu(grade="tactical"), T0_NS, T0_NS + 60 * NS, streams(2))
     np.testing.assert_array_equal(both.measured.gyro, same.measured.gyro)
+    drawn = [
+        np.diag(M) / errors.scale for M, errors in zip((both.M_gyro, both.M_accel), GRADES["tactical"], strict=True)
+    ]
+    assert (np.abs(drawn[0] - drawn[1]) > 1e-6).all()  # nor do gyroscopes and accelerometers share their draws
     other = simulate_imu(at_rest(60.0), Imu(grade="tactical"), T0_NS, T0_NS + 60 * NS, streams(2, 1))
     assert (other.measured.gyro != both.measured.gyro).any()
 
