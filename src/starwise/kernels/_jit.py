@@ -1,14 +1,38 @@
 """The one decorator of every kernel, and where its compiled code is kept."""
 
 import hashlib
+import importlib
 import os
 import sys
 import tempfile
+import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+
+
+def _load_numba_without_scipy_linalg() -> None:
+    """Import numba's array functions without all of scipy.linalg.
+
+    ``numba.np.arraymath`` imports ``scipy.linalg.cython_blas`` only to see that it is there: 0.2-0.3 s at every start,
+    more than all other imports together. No kernel here calls BLAS. Whoever compiles a function that does still
+    finds the real module, because numba imports it again by name at that moment.
+    """
+    names = ("scipy.linalg", "scipy.linalg.cython_blas")
+    if any(name in sys.modules for name in (*names, "numba.np.arraymath")):
+        return
+    try:
+        for name in names:
+            sys.modules[name] = types.ModuleType(name)
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        for name in names:
+            sys.modules.pop(name, None)
+
+
+_load_numba_without_scipy_linalg()
 
 F = TypeVar("F", bound=Callable[..., Any])
 
