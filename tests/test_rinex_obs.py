@@ -389,6 +389,14 @@ def test_a_satellite_of_an_undeclared_system_is_told() -> None:
     assert told(obs, "declares no signals") == 1
 
 
+def test_more_values_than_declared_are_told() -> None:
+    obs = obs_of(header3(CODES) + epoch3(T0, {"C01": [*ONE["C01"], 5.0]}))
+    assert rows(obs)["C01 2I"][:4] == tuple(ONE["C01"])
+    assert told(obs, "more on a satellite's line") == 1
+    obs = obs_of(header2(["C1"]) + epoch2(T0, {"G05": [2e7, 5.0]}))
+    assert told(obs, "more on a satellite's line") == 1
+
+
 def test_a_wrong_number_of_satellites_costs_nothing() -> None:
     for count in (0, 1, 3, 99):
         obs = obs_of(header3(CODES) + epoch3(T0, ONE, count=count) + epoch3(T0 + STEP, ONE))
@@ -446,7 +454,7 @@ def test_a_line_lost_or_doubled_never_shifts_satellites_in_version_2() -> None:
     for i in range(per, 2 * per):
         for other in (body[:i] + body[i + 1 :], [*body[:i], body[i], *body[i:]]):
             obs = obs_of(V2_LINES + other)
-            assert obs.n_epochs == 2, i
+            assert obs.n_epochs >= 2, i
             assert sum(p.count for p in obs.problems) >= 1
             for k, t in enumerate(obs.t_ns):
                 same = rows(want, int(np.searchsorted(want.t_ns, t)))

@@ -77,7 +77,7 @@ def unpacked_limit(limit: int | None = None) -> int:
     text = os.environ.get("STARWISE_MAX_UNPACKED_BYTES", "")
     if not text:
         return DEFAULT_LIMIT
-    if not text.isdigit() or int(text) == 0:
+    if not text.isdecimal() or int(text) == 0:
         raise StarwiseError("STARWISE_MAX_UNPACKED_BYTES is not a size", found=text, wanted="a number of bytes")
     return int(text)
 

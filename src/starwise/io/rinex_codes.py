@@ -73,7 +73,7 @@ def _field2(code: str, system: str, declared: set[str]) -> Field:
 def _field3(code: str, system: str, version: float) -> Field:
     kind = KINDS.find(code[:1])
     name = code[1:]
-    if kind < 0 or len(name) != 2 or not name[0].isdigit() or not (name[1].isascii() and name[1].isalpha()):
+    if kind < 0 or len(name) != 2 or not name.isascii() or not name[0].isdigit() or not name[1].isalpha():
         return Field(-1)
     if system == "C" and (name in ("1I", "1Q") or (name == "1X" and version < 3.025)):
         name = "2" + name[1]

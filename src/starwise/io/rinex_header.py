@@ -173,6 +173,8 @@ def apply_lines(header: Header, lines: Iterable[str], line: int, problems: Probl
         label = text[60:80].strip().upper()
         try:
             if label in ("SYS / # / OBS TYPES", "# / TYPES OF OBSERV"):
+                if label.startswith("#") != (header.version < 3.0):
+                    raise ValueError("of another version")
                 block.observation_types(text, number, label)
             elif label == "SYS / SCALE FACTOR":
                 block.scale_factor(text, header)
@@ -209,7 +211,7 @@ class _Block:
     def scale_factor(self, text: str, header: Header) -> None:
         if text[0] != " ":
             system, factor = text[0], float(text[2:6])
-            if factor <= 0.0:
+            if not 0.0 < factor < 1e7:
                 raise ValueError("not a factor")
             self.scaled = (system, factor)
             if not text[8:10].strip() or int(text[8:10]) == 0:

@@ -28,6 +28,7 @@ _WHAT: Final = {
     kernel.SLIP_RECORDS: "cycle slip records (flag 6): skipped",
     kernel.LOST_EPOCH: "lines of an epoch do not fit its satellites: epoch dropped",
     kernel.BAD_NAME: "satellite name that cannot be read: skipped",
+    kernel.EXTRA: "more on a satellite's line than the header declares: not read",
     kernel.TOO_MANY: "more satellite lines than an epoch can have: skipped",
 }
 _FLAGS: Final = {2: "antenna moves", 3: "new site", 4: "header lines", 5: "external event"}

@@ -35,7 +35,8 @@ SLIP_RECORDS = 7
 LOST_EPOCH = 8
 TOO_MANY = 9
 BAD_NAME = 10
-N_PROBLEMS = 11
+EXTRA = 11
+N_PROBLEMS = 12
 
 MAX_LINES = 1024  # satellite lines of one epoch: 7 systems x 99 numbers fit
 KIND_L = 1
@@ -270,7 +271,10 @@ def read_records(
             value[k] = np.nan
         for line in range(lines):
             p, end = starts[at * lines + line], ends[at * lines + line]
-            for f in range(line * per_line, min((line + 1) * per_line, fields)):
+            stop_field = min((line + 1) * per_line, fields)
+            if end - p > 16 * (stop_field - line * per_line):
+                note(problems, EXTRA, p)
+            for f in range(line * per_line, stop_field):
                 if p >= end:
                     break
                 to = place[system, f]

@@ -125,7 +125,7 @@ def satellite_list(
 @njit
 def is_value_line(buf: NDArray[np.uint8], start: int, end: int) -> bool:
     """Whether a line is blank or has the decimal point of an F14.3 field: no epoch record, not even a damaged one."""
-    for k in range(start + 10, end, 16):
+    for k in range(start + 10, min(end, start + 68), 16):
         if buf[k] == 46:
             return True
     return end == start
@@ -154,7 +154,9 @@ def satellite_lines(buf: NDArray[np.uint8], pos: int, count: int, per: int, scra
         return count, n, 0
     eol = line_feed(buf, pos, n)
     end = text_end(buf, pos, eol)
-    return count, pos, 2 if is_value_line(buf, pos, end) else 0
+    if epoch_record2(buf, pos, end)[1] >= 0 or not is_value_line(buf, pos, end):
+        return count, pos, 0
+    return count, pos, 2
 
 
 @njit
