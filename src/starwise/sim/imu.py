@@ -286,9 +286,10 @@ def _perfect(trajectory: Trajectory, t_ns: I8, increments: bool) -> Inertial:
     dt_s = np.diff(t_ns) * 1e-9
     if not increments:
         return Inertial(t_ns, np.append(dt_s[:1], dt_s), out[:, :3].copy(), out[:, 3:].copy(), False)
-    # Whole panels that end between two readings: exactly zero within a panel, so that nothing is lost there.
+    step = np.diff(out, axis=0)
+    across = np.nonzero(np.diff(which))[0]  # whole panels that end between two readings
     whole = np.concatenate([np.zeros((1, 6)), np.cumsum(coef.sum(axis=1), axis=0)])
-    step = np.diff(out, axis=0) + np.diff(whole[which], axis=0)
+    step[across] += whole[which[across + 1]] - whole[which[across]]
     return Inertial(t_ns[1:], dt_s, step[:, :3].copy(), step[:, 3:].copy(), True)
 
 
@@ -302,17 +303,19 @@ def _measured(true: F8, perfect: Inertial, errors: SensorErrors, streams: Stream
     total = np.broadcast_to(bias, (n, 3)).copy()
     if errors.markov > 0.0:
         noise = streams(f"imu/{name}/markov").standard_normal((n, 3))
-        total += errors.markov * _markov(noise, float(np.median(perfect.dt_s)) / errors.markov_tau_s)
+        total += _markov(errors.markov * noise, float(np.median(perfect.dt_s)) / errors.markov_tau_s)
     dt = perfect.dt_s[:, None]
-    reading = true + true @ M.T + (total * dt if perfect.increments else total)
+    reading = true @ (np.eye(3) + M).T
+    reading += total * dt if perfect.increments else total
     if errors.random_walk > 0.0:
         noise = streams(f"imu/{name}/white").standard_normal((n, 3))
-        reading += errors.random_walk * noise * (np.sqrt(dt) if perfect.increments else 1.0 / np.sqrt(dt))
+        noise *= errors.random_walk * (np.sqrt(dt) if perfect.increments else 1.0 / np.sqrt(dt))
+        reading += noise
     return reading, total, M
 
 
 def _markov(white: F8, step: float) -> F8:
-    """First-order Markov sequences of unit variance, stationary from the start, from white noise (n, 3)."""
+    """First-order Markov sequences, stationary from the start, with the variance of the white noise (n, 3)."""
     from scipy.signal import lfilter
 
     keep = np.exp(-step)
