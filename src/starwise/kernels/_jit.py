@@ -3,10 +3,12 @@
 import hashlib
 import importlib
 import os
+import re
 import sys
 import tempfile
 import types
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -40,17 +42,29 @@ FLAGS = {"contract", "reassoc", "arcp", "nsz"}
 """Safe parts of fast maths. Never plain ``fastmath=True``: it removes the tests for NaN that mark missing values."""
 
 
-def _sources_hash() -> str:
-    """Hash of everything that compiled code depends on: all kernels, the constants, numba's version.
+_IMPORT = re.compile(rb"^from starwise\.kernels\.(\w+) import", re.MULTILINE)
 
+
+def _sources_hash(module: str) -> str:
+    """Hash of everything that the compiled code of a kernel module depends on.
+
+    That is the module, all kernel modules that it imports, however indirectly, the constants and numba's version.
     numba checks only the file of the cached function itself; after an edit to a kernel that it *calls* it would
     return the old result.
     """
-    digest = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
     here = Path(__file__).parent
-    for path in [here.parent / "constants.py", *sorted(here.glob("*.py"))]:
-        digest.update(path.name.encode())
-        digest.update(path.read_bytes())
+    digest = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
+    digest.update((here.parent / "constants.py").read_bytes())
+    seen: set[str] = set()
+    waiting = ["_jit", module]
+    while waiting:
+        name = waiting.pop()
+        if name in seen:
+            continue
+        seen.add(name)
+        text = (here / f"{name}.py").read_bytes()
+        digest.update(hashlib.sha256(text).digest())
+        waiting.extend(sorted(found.decode() for found in _IMPORT.findall(text)))
     return digest.hexdigest()[:16]
 
 
@@ -63,12 +77,12 @@ def _writable(path: Path) -> bool:
         return False
 
 
-def cache_dir() -> Path:
+@lru_cache(maxsize=1)
+def cache_root() -> Path:
     """Directory of compiled kernels: ``$STARWISE_CACHE_DIR``, or the user's cache, or a temporary one.
 
     The installation itself may be read-only or shared; nothing is written there.
     """
-    name = _sources_hash()
     asked = os.environ.get("STARWISE_CACHE_DIR")
     if asked:
         candidates = [Path(asked)]
@@ -81,22 +95,24 @@ def cache_dir() -> Path:
     owner = os.getuid() if hasattr(os, "getuid") else 0
     candidates.append(Path(tempfile.gettempdir()) / f"starwise-{owner}")
     for base in candidates:
-        if _writable(base / name):
-            return base / name
+        if _writable(base):
+            return base
     return Path(tempfile.mkdtemp(prefix="starwise-"))
 
 
-_CACHE = str(cache_dir())
+@lru_cache(maxsize=None)
+def _cache_dir(module: str) -> str:
+    return str(cache_root() / f"{module}-{_sources_hash(module)}")
 
 
 def njit(function: F) -> F:
-    """Compile a kernel: cached in `cache_dir`, numpy's error model (x / 0 is inf), safe fast maths.
+    """Compile a kernel: cached under `cache_root`, numpy's error model (x / 0 is inf), safe fast maths.
 
     numba reads its cache setting when a function is decorated, so it is set for that moment only: other users of
     numba in the same process are not affected.
     """
     before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = _CACHE
+    numba.config.CACHE_DIR = _cache_dir(function.__module__.rpartition(".")[2])
     try:
         compiled: F = numba.njit(cache=True, error_model="numpy", fastmath=FLAGS)(function)
     finally:
