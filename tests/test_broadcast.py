@@ -31,6 +31,7 @@ from starwise.constants import (
     K_TOE_SOW,
     NS,
     R_TAU,
+    R_X,
     SAT_INACCURATE,
     SAT_NO_EPHEMERIS,
     SAT_OK,
@@ -42,6 +43,7 @@ from starwise.errors import StarwiseError
 from starwise.kernels.glonass import N_NODES, glonass, runge_kutta
 from starwise.kernels.kepler import MU, OMEGA_E, kepler
 from starwise.physics.broadcast import BroadcastEphemeris, galileo_first
+from starwise.physics.slots import misfiled
 from starwise.signals import sv_id
 
 KINDS = ["G05", "E11", "C21", "C03", "C60", "J02", "I03", "R01", "S23"]
@@ -340,3 +342,27 @@ def test_reference_times_may_differ():
     # the clocks differ by af1 x 3600 s = 30 ns: the satellite moves 0.1 mm in that
     np.testing.assert_allclose(a.pos_e, b.pos_e, atol=2e-4, rtol=0)
     assert abs(a.clock_s - b.clock_s)[0] == pytest.approx(8.3e-12 * 3600, rel=1e-3)
+
+
+def test_glonass_records_under_the_wrong_slot_are_left_out():
+    """R05 flies opposite R01 on the same channel: its record under R01 is on no orbit of R01."""
+    first = record("R01", 0.0)
+    there = {}
+    for toe in (1800.0, 3600.0):
+        memory = np.empty((2, N_NODES, 6)), np.zeros(2, dtype=np.int32)
+        start = first["par"] if toe == 1800.0 else there[1800.0]
+        there[toe] = start.copy()
+        there[toe][R_X : R_X + 6] = glonass(start, 1800.0, *memory)
+    across = there[1800.0].copy()
+    across[R_X : R_X + 6] *= -1.0
+    good = [first, *[{**record("R01", toe), "par": par} for toe, par in there.items()]]
+    rec = records(*good, {**record("R01", 1800.0, tx_s=1900.0), "par": across})
+    wrong = misfiled(rec)
+    assert wrong.sum() == 1
+    assert (rec.par[wrong][0] == across).all()
+    eph = BroadcastEphemeris(rec)
+    assert not wrong[at(eph, "R01", 1900.0, post=True).record[0]]
+    assert "R01" in eph.notes[0]
+    # two against two: nobody knows, all stay
+    assert not misfiled(records(*good[:2], *[{**r, "par": -r["par"]} for r in good[:2]])).any()
+    assert BroadcastEphemeris(records(record("G05"))).notes == ()

@@ -16,7 +16,8 @@ GEO = {"C01", "C02", "C03", "C04", "C05", "C59", "C60", "C61", "C62", "C63"}
 TOLERANCE_M = {
     # G E C J I: the same formulas; rounding, and RTKLIB's coarser Kepler iteration (1e-13 rad)
     "G": 1e-4, "E": 1e-4, "C": 1e-4, "J": 1e-4, "I": 1e-4,
-    # R: RTKLIB has mu and the Earth's rate of the older ICD (-4.5e-9 and -2e-8 of ours), 15 min away from the record
+    # R: RTKLIB has mu and the Earth's rate of the older ICD (-4.5e-9 and -2e-8 of ours), 15 min away from the
+    # record, with the square of time beyond
     "R": 8e-3,
 }  # fmt: skip
 
@@ -70,7 +71,8 @@ def test_states_equal_rtklib(both):
         position(rtk.gpst2time(*week_tow(t_ns)), same[0], rs, dts, var)
         # a pseudorange of zero: ours is at t - clock; theirs at t
         error = np.linalg.norm(s.pos_e[0] + s.vel_e[0] * s.clock_s[0] - np.array([rs[0], rs[1], rs[2]]))
-        assert error < TOLERANCE_M[SYSTEMS[system]], (name, error)
+        further = max(1.0, abs(s.age_s[0]) / 900.0) ** 2 if system == SYS_R else 1.0
+        assert error < TOLERANCE_M[SYSTEMS[system]] * further, (name, error)
         clock = s.clock_s[0] + s.drift[0] * s.clock_s[0]
         assert abs(clock - dts[0]) < 1e-12, (name, clock, dts[0])  # s: 0.3 mm
         kind = "geo" if name in GEO else SYSTEMS[system]

@@ -81,7 +81,7 @@ def klobuchar(coef: F8, lat: float, lon: float, az: float, el: float, tow_s: flo
     lam_i = lon / math.pi + psi * math.sin(az) / math.cos(phi_i * math.pi)
     phi_m = phi_i + 0.064 * math.cos((lam_i - 1.617) * math.pi)
     t = 43200.0 * lam_i + tow_s
-    t -= np.floor(t / 86400.0) * 86400.0
+    t %= 86400.0
     F = 1.0 + 16.0 * (0.53 - E) ** 3
     amp: float = coef[0] + phi_m * (coef[1] + phi_m * (coef[2] + phi_m * coef[3]))
     per: float = coef[4] + phi_m * (coef[5] + phi_m * (coef[6] + phi_m * coef[7]))
@@ -127,7 +127,7 @@ def klobuchar_bds(coef: F8, lat: float, lon: float, az: float, el: float, tow_bd
     A2 = max(A2, 0.0)
     A4 = min(max(A4, 72000.0), 172800.0)
     t = tow_bdt_s + lam_m * 43200.0 / math.pi
-    t -= np.floor(t / 86400.0) * 86400.0
+    t %= 86400.0
     I_z = 5e-9
     if abs(t - 50400.0) < A4 / 4.0:
         I_z += A2 * math.cos(2.0 * math.pi * (t - 50400.0) / A4)

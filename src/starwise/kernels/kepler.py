@@ -46,21 +46,29 @@ MU: F8 = np.array([MU_GPS, MU_GLO, MU_GAL, MU_BDS, MU_GPS, MU_GPS, MU_GPS])
 OMEGA_E: F8 = np.array([OMEGA_E_GPS, OMEGA_E_GLO, OMEGA_E_GPS, OMEGA_E_BDS, OMEGA_E_GPS, OMEGA_E_GPS, OMEGA_E_GPS])
 _SIN5, _COS5 = math.sin(math.radians(-5.0)), math.cos(math.radians(-5.0))
 _MAX_ITERATIONS = 12  # Newton from E = M: 4 at e = 0.02, 8 at e = 0.9
-_TOLERANCE = 1e-13  # rad: 4 um at 42 000 km; the step after it is quadratically smaller
+_LAST_STEP = 1e-8  # rad: Newton doubles the digits, so what remains after such a step is below 1e-16
 
 State = tuple[float, float, float, float, float, float, float, float]
 
 
 @njit
-def eccentric_anomaly(M_k: float, e: float) -> float:
-    """Eccentric anomaly, rad, of a mean anomaly by Newton's method. IS-GPS-200N table 20-IV."""
+def eccentric_anomaly(M_k: float, e: float) -> tuple[float, float]:
+    """Sine and cosine of the eccentric anomaly of a mean anomaly by Newton's method. IS-GPS-200N table 20-IV."""
     E_k = M_k + e * math.sin(M_k)
     for _ in range(_MAX_ITERATIONS):
-        step = (M_k - E_k + e * math.sin(E_k)) / (1.0 - e * math.cos(E_k))
+        sin_E, cos_E = math.sin(E_k), math.cos(E_k)
+        step = (M_k - E_k + e * sin_E) / (1.0 - e * cos_E)
         E_k += step
-        if not abs(step) > _TOLERANCE:
-            break
-    return E_k
+        if not abs(step) > _LAST_STEP:
+            return _turned(sin_E, cos_E, step)
+    return math.sin(E_k), math.cos(E_k)
+
+
+@njit
+def _turned(s: float, c: float, small: float) -> tuple[float, float]:
+    """Sine and cosine of an angle plus a small one (up to 1e-3 rad) by its series: rounding, no further error."""
+    s2, c2 = small * (1.0 - small * small / 6.0), 1.0 - small * small / 2.0 * (1.0 - small * small / 12.0)
+    return s * c2 + c * s2, c * c2 - s * s2
 
 
 @njit
@@ -98,17 +106,17 @@ def kepler(p: F8, system: int, geo: bool, t_k: float) -> State:
     n_0 = math.sqrt(mu / (A_0 * A_0 * A_0))
     n_A = n_0 + p[K_DELTA_N] + 0.5 * p[K_DELTA_N_DOT] * t_k
     M_dot = n_0 + p[K_DELTA_N] + p[K_DELTA_N_DOT] * t_k
-    E_k = eccentric_anomaly(p[K_M0] + n_A * t_k, e)
-    sin_E, cos_E = math.sin(E_k), math.cos(E_k)
+    sin_E, cos_E = eccentric_anomaly(p[K_M0] + n_A * t_k, e)
     root = math.sqrt(1.0 - e * e)
-    nu_k = math.atan2(root * sin_E, cos_E - e)
+    sin_nu, cos_nu = root * sin_E / (1.0 - e * cos_E), (cos_E - e) / (1.0 - e * cos_E)
     E_dot = M_dot / (1.0 - e * cos_E)
     nu_dot = root * E_dot / (1.0 - e * cos_E)
 
-    # -- second harmonic perturbations
-    phi_k = nu_k + p[K_OMEGA]
-    s2, c2 = math.sin(2.0 * phi_k), math.cos(2.0 * phi_k)
-    u_k = phi_k + p[K_CUS] * s2 + p[K_CUC] * c2
+    # -- second harmonic perturbations of phi_k = nu_k + omega
+    so, co = math.sin(p[K_OMEGA]), math.cos(p[K_OMEGA])
+    sp, cp = sin_nu * co + cos_nu * so, cos_nu * co - sin_nu * so
+    s2, c2 = 2.0 * sp * cp, cp * cp - sp * sp
+    du = p[K_CUS] * s2 + p[K_CUC] * c2
     r_k = A_k * (1.0 - e * cos_E) + p[K_CRS] * s2 + p[K_CRC] * c2
     i_k = p[K_I0] + p[K_IDOT] * t_k + p[K_CIS] * s2 + p[K_CIC] * c2
     u_dot = nu_dot * (1.0 + 2.0 * (p[K_CUS] * c2 - p[K_CUC] * s2))
@@ -116,7 +124,7 @@ def kepler(p: F8, system: int, geo: bool, t_k: float) -> State:
     i_dot = p[K_IDOT] + 2.0 * nu_dot * (p[K_CIS] * c2 - p[K_CIC] * s2)
 
     # -- position in the orbital plane
-    su, cu = math.sin(u_k), math.cos(u_k)
+    su, cu = _turned(sp, cp, du)  # u_k = phi_k + du
     xp, yp = r_k * cu, r_k * su
     xp_dot = r_dot * cu - yp * u_dot
     yp_dot = r_dot * su + xp * u_dot

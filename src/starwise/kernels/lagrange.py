@@ -192,8 +192,9 @@ def precise_states(
     p, v = np.empty((N_NODES, 3)), np.empty((N_NODES, 3))
     x, sample = np.empty(N_NODES), np.empty(2)
     for i in range(len(sv)):
-        pos_e[i] = np.nan
-        vel_e[i] = np.nan
+        for k in range(3):
+            pos_e[i, k] = np.nan
+            vel_e[i, k] = np.nan
         clock_s[i] = np.nan
         drift[i] = np.nan
         relativity_s[i] = np.nan

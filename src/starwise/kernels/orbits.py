@@ -174,8 +174,9 @@ def broadcast_states(
     receiver's clock does, and t_tx = t_sv - clock(t_tx). Outputs as in `starwise.types.SatStates`.
     """
     for row in range(len(sv)):
-        pos_e[row] = np.nan
-        vel_e[row] = np.nan
+        for k in range(3):
+            pos_e[row, k] = np.nan
+            vel_e[row, k] = np.nan
         clock_s[row] = np.nan
         drift[row] = np.nan
         relativity_s[row] = np.nan

@@ -39,7 +39,8 @@ from starwise.errors import StarwiseError
 from starwise.kernels.glonass import N_NODES
 from starwise.kernels.orbits import N_RANKS, Table, broadcast_states
 from starwise.physics.group_delay import delay_table, group_delay, reference_table
-from starwise.signals import frequency_table
+from starwise.physics.slots import misfiled
+from starwise.signals import frequency_table, sv_name
 from starwise.types import F8, I2, I4, I8, BroadcastRecords, SatStates
 
 Ranks = Mapping[str, Sequence[Sequence[str]]]
@@ -138,6 +139,11 @@ class BroadcastEphemeris:
         Per system letter, message names in ranks of preference; missing letters keep `DEFAULT_MESSAGES`, an empty
         sequence turns a system off.
 
+    Attributes
+    ----------
+    notes : tuple of str
+        What was found in the records and dealt with, for people.
+
     Raises
     ------
     StarwiseError
@@ -152,7 +158,12 @@ class BroadcastEphemeris:
     def __init__(self, records: BroadcastRecords, messages: Ranks | None = None) -> None:
         self.records = records
         self.channels: dict[int, int] = _channels(records)
-        rules = _rules(records, {**DEFAULT_MESSAGES, **(messages or {})})
+        stray = misfiled(records)
+        self.notes: tuple[str, ...] = ()
+        if stray.any():
+            slots = " ".join(sv_name(int(s)) for s in np.unique(records.sv[stray]))
+            self.notes = (f"{stray.sum()} GLONASS records filed under the wrong slot left out ({slots})",)
+        rules = _rules(records, {**DEFAULT_MESSAGES, **(messages or {})}, ~stray)
         self._table = _table(records, rules)
         self._message = np.ascontiguousarray(records.message, dtype=np.int8)
         self._delays = delay_table(records)
@@ -249,10 +260,10 @@ def _by_message(rules: Mapping[tuple[int, int | None], float], records: Broadcas
     return np.asarray(table[records.sv >> 8, records.message])
 
 
-def _rules(records: BroadcastRecords, messages: Ranks) -> _Rules:
+def _rules(records: BroadcastRecords, messages: Ranks, trusted: NDArray[np.bool_]) -> _Rules:
     system = records.sv >> 8
     rank = _rank_table(messages)[system, records.message]
-    rank = np.where(_plausible(records), rank, -1)
+    rank = np.where(_plausible(records) & trusted, rank, -1)
 
     limits = [_by_message({k: v[i] for k, v in LIMIT_S.items()}, records) for i in range(3)]
     flagged = (system == SYS_G) & (records.message == MSG_LNAV) & (records.fit_s > 0)
