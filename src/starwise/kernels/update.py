@@ -197,8 +197,8 @@ def update_sequential(
     dof : int
         Their number.
     """
-    a = np.empty(n)
-    b = np.empty(n)
+    work = np.empty((2, n))
+    a, b = work[0], work[1]
     nis, dof = 0.0, 0
     for k in range(m):
         c, d = ic[k], idr[k]
@@ -211,7 +211,7 @@ def update_sequential(
         bits, q, s11, s22 = update_satellite(
             x, P, n, moving, c, d, ux, uy, uz, gx, gy, gz, v1, v2, r[k, 0], r[k, 1], gate1, gate2, a, b
         )
-        v_out[k, 0], v_out[k, 1] = v1, v2
+        v_out[k, 0], v_out[k, 1] = v1, v2 if r[k, 1] < np.inf else np.nan
         s_out[k, 0], s_out[k, 1] = s11, s22
         used[k] = bits
         nis += q
@@ -221,29 +221,20 @@ def update_sequential(
 
 
 @njit
-def _grow(
-    PH: F8, L: F8, y: F8, h: F8, at: I8, nh: int, value: float, r: float, k: int, others: int
-) -> tuple[float, float]:
-    """Row k of the factor of S for one measurement, given rows 0..others-1; returns conditional v and s.
+def _grow(L: F8, y: F8, k: int, others: int, v: float, s: float) -> tuple[float, float]:
+    """Row k of the factor L of S, from S[k, :others] that stands there; innovation and variance given rows before.
 
-    ``h`` holds the nh non-zeros of the row at the state indices ``at``; ``PH[i]`` is P h of the accepted row i
-    (and ``PH[k]`` of this one). S[k, i] = h . PH[i]; L[k, i] = (S[k, i] - L[k, :i] . L[i, :i]) / L[i, i], with
-    1 / L[i, i] kept on the diagonal.
+    L[k, i] = (S[k, i] - L[k, :i] . L[i, :i]) / L[i, i], with 1 / L[i, i] kept on the diagonal.
     """
-    s = r
-    for q in range(nh):
-        s += h[q] * PH[k, at[q]]
     for i in range(others):
-        t = 0.0
-        for q in range(nh):
-            t += h[q] * PH[i, at[q]]
+        t = L[k, i]
         for j in range(i):
             t -= L[k, j] * L[i, j]
-        L[k, i] = t * L[i, i]
-    for i in range(others):
-        value -= L[k, i] * y[i]
-        s -= L[k, i] * L[k, i]
-    return value, s
+        t *= L[i, i]
+        L[k, i] = t
+        v -= t * y[i]
+        s -= t * t
+    return v, s
 
 
 @njit
@@ -255,44 +246,48 @@ def update_batch(
 
     K = P H' S^-1 is never formed: with S = L L', W = L^-1 H P and y = L^-1 v,  x += W' y  and  P -= W' W.
     """
-    PH = np.empty((2 * m + 2, n))
-    L = np.empty((2 * m + 2, 2 * m + 2))
-    y = np.empty(2 * m + 2)
-    h = np.empty(7)
-    at = np.array([0, 1, 2, 0, 3, 4, 5])
-    rows, nis, dof = 0, 0.0, 0
+    size = 2 * m
+    PH = np.empty((size, n))
+    L = np.empty((size, size))
+    y = np.empty(size)
+    rows, nis = 0, 0.0
     for k in range(m):
-        c, d = ic[k], idr[k]
+        c, d, e = ic[k], idr[k], rows + 1
         ux, uy, uz = u[k, 0], u[k, 1], u[k, 2]
-        h[0], h[1], h[2], h[3] = -ux, -uy, -uz, 1.0
-        at[3] = c
-        v0 = v[k, 0] - (x[c] - ux * x[0] - uy * x[1] - uz * x[2])
+        gx, gy, gz = g[k, 0], g[k, 1], g[k, 2]
+        paired = r[k, 1] < np.inf
+        v1 = v[k, 0] - (x[c] - ux * x[0] - uy * x[1] - uz * x[2])
+        v2 = v[k, 1] - (x[d] + gx * x[0] + gy * x[1] + gz * x[2])
+        # Rows of H P, and of S against the rows accepted before.
         for i in range(n):
             PH[rows, i] = P[c, i] - ux * P[0, i] - uy * P[1, i] - uz * P[2, i]
-        v1, s11 = _grow(PH, L, y, h, at, 4, v0, r[k, 0], rows, rows)
-        i1 = 1.0 / math.sqrt(s11)
-        v2, s22, s21 = np.nan, np.nan, 0.0
-        paired = r[k, 1] < np.inf
+        for i in range(rows):
+            L[rows, i] = PH[i, c] - ux * PH[i, 0] - uy * PH[i, 1] - uz * PH[i, 2]
+        s11 = r[k, 0] + PH[rows, c] - ux * PH[rows, 0] - uy * PH[rows, 1] - uz * PH[rows, 2]
+        v1, s11 = _grow(L, y, rows, rows, v1, s11)
+        s22, s21 = np.nan, 0.0
         if paired:
-            gx, gy, gz = g[k, 0], g[k, 1], g[k, 2]
-            h[0], h[1], h[2], h[3], h[4], h[5], h[6] = gx, gy, gz, 1.0, -ux, -uy, -uz
-            at[3] = d
-            v0 = v[k, 1] - (x[d] + gx * x[0] + gy * x[1] + gz * x[2])
+            for i in range(n):
+                PH[e, i] = P[d, i] + gx * P[0, i] + gy * P[1, i] + gz * P[2, i]
+            for i in range(rows):
+                L[e, i] = PH[i, d] + gx * PH[i, 0] + gy * PH[i, 1] + gz * PH[i, 2]
             if moving:
-                v0 += ux * x[3] + uy * x[4] + uz * x[5]
+                v2 += ux * x[3] + uy * x[4] + uz * x[5]
                 for i in range(n):
-                    PH[rows + 1, i] = (P[d, i] + gx * P[0, i] + gy * P[1, i] + gz * P[2, i]) - (
-                        ux * P[3, i] + uy * P[4, i] + uz * P[5, i]
-                    )
+                    PH[e, i] -= ux * P[3, i] + uy * P[4, i] + uz * P[5, i]
+                for i in range(rows):
+                    L[e, i] -= ux * PH[i, 3] + uy * PH[i, 4] + uz * PH[i, 5]
+                s21 = -ux * PH[rows, 3] - uy * PH[rows, 4] - uz * PH[rows, 5]
+                s22 = -ux * PH[e, 3] - uy * PH[e, 4] - uz * PH[e, 5]
             else:
-                for i in range(n):
-                    PH[rows + 1, i] = P[d, i] + gx * P[0, i] + gy * P[1, i] + gz * P[2, i]
-            nh = 7 if moving else 4
-            v2, s22 = _grow(PH, L, y, h, at, nh, v0, r[k, 1], rows + 1, rows)
-            for q in range(nh):
-                s21 += h[q] * PH[rows, at[q]]
-            for j in range(rows):
-                s21 -= L[rows, j] * L[rows + 1, j]
+                s22 = 0.0
+            s21 += PH[rows, d] + gx * PH[rows, 0] + gy * PH[rows, 1] + gz * PH[rows, 2]
+            s22 += r[k, 1] + PH[e, d] + gx * PH[e, 0] + gy * PH[e, 1] + gz * PH[e, 2]
+            v2, s22 = _grow(L, y, e, rows, v2, s22)
+            for i in range(rows):
+                s21 -= L[rows, i] * L[e, i]
+        else:
+            v2 = np.nan
         v_out[k, 0], v_out[k, 1] = v1, v2
         s_out[k, 0], s_out[k, 1] = s11, s22
         bits = decide(v1, v2, s11, s21, s22, paired, gate1, gate2)
@@ -301,18 +296,19 @@ def update_batch(
             continue
         if bits == USED_RATE:
             for i in range(n):
-                PH[rows, i] = PH[rows + 1, i]
-            for j in range(rows):
-                L[rows, j] = L[rows + 1, j]
-            i1, v1 = 1.0 / math.sqrt(s22), v2
+                PH[rows, i] = PH[e, i]
+            for i in range(rows):
+                L[rows, i] = L[e, i]
+            s11, v1 = s22, v2
+        i1 = 1.0 / math.sqrt(s11)
         L[rows, rows] = i1
         y[rows] = v1 * i1
         if bits == USED_BOTH:
             l21 = s21 * i1
             i2 = 1.0 / math.sqrt(s22 - l21 * l21)
-            L[rows + 1, rows] = l21
-            L[rows + 1, rows + 1] = i2
-            y[rows + 1] = (v2 - l21 * y[rows]) * i2
+            L[e, rows] = l21
+            L[e, e] = i2
+            y[e] = (v2 - l21 * y[rows]) * i2
             rows += 1
         rows += 1
     # W = L^-1 (H P), row by row in place.
@@ -321,22 +317,18 @@ def update_batch(
             t = L[k, j]
             for i in range(n):
                 PH[k, i] -= t * PH[j, i]
-        t = L[k, k]
+        t, yk = L[k, k], y[k]
+        nis += yk * yk
         for i in range(n):
             PH[k, i] *= t
-    for k in range(rows):
-        nis += y[k] * y[k]
-        dof += 1
-        for i in range(n):
-            x[i] += PH[k, i] * y[k]
+            x[i] += PH[k, i] * yk
     if rows % 2 == 1:
         for i in range(n):
             PH[rows, i] = 0.0
     for k in range(0, rows, 2):
         for i in range(n):
             ai, bi = PH[k, i], PH[k + 1, i]
-            for j in range(i + 1):
-                p = P[i, j] - (ai * PH[k, j] + bi * PH[k + 1, j])
-                P[i, j] = p
-                P[j, i] = p
-    return nis, dof
+            for j in range(n):
+                P[i, j] -= ai * PH[k, j] + bi * PH[k + 1, j]
+    mirror(P, n)
+    return nis, rows
