@@ -1,6 +1,7 @@
 """The observation reader on synthetic text: what is written is read, what is odd is told."""
 
 import datetime as dt
+import time
 from pathlib import Path
 
 import numpy as np
@@ -334,8 +335,27 @@ def test_of_equal_epochs_the_first_stays() -> None:
     obs = obs_of(lines)
     assert obs.n_epochs == 2
     assert obs.code_m[0] == 1e7
-    assert told(obs, "the first kept") == 1
+    assert told(obs, "one kept") == 1
     assert obs.problems[0].line == len(header3(CODES)) + 3
+
+
+def test_a_damaged_time_tag_does_not_replace_the_epoch_whose_time_it_took() -> None:
+    times = [0, 1, 4, 3, 4, 5]  # the third should be 2
+    lines = header3(CODES)
+    for i, k in enumerate(times):
+        lines += epoch3(T0 + k * STEP, {"G05": [1e7 + i]})
+    obs = obs_of(lines)
+    assert obs.code_m.tolist() == [1e7, 1e7 + 1, 1e7 + 3, 1e7 + 4, 1e7 + 5]
+    assert told(obs, "out of order") == 1
+    assert told(obs, "one kept") == 1
+
+
+def test_many_events_take_time_in_proportion() -> None:
+    event = [">                              4  1", head("hello", "COMMENT")]
+    started = time.perf_counter()
+    obs = obs_of(header3(CODES) + event * 60_000 + epoch3(T0, ONE))
+    assert time.perf_counter() - started < 20.0, "s; about 2 here, 45 if lines were counted from the start"
+    assert obs.n_epochs == 1
 
 
 def test_a_satellite_listed_twice_counts_once() -> None:
@@ -380,6 +400,7 @@ def test_headers_that_cannot_be_used_are_refused() -> None:
     assert "version" in refusal([good[0].replace("3.04", "abcd"), *good[1:]])
     assert "declares no observations" in refusal([good[0], *good[3:]])
     assert "time system" in refusal(header3(CODES, time="XYZ"))
+    assert told(obs_of([*good, *epoch3(T0, ONE), " 12 345.000"]), "no record") == 1  # no satellite without a letter
     assert "no epoch" in refusal([*good, "what is this", "and that"])
 
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from starwise.constants import N_SYSTEMS, SYSTEMS
 from starwise.io.rinex_header import Header, Problems
-from starwise.kernels.rinex_obs import Layout
+from starwise.kernels.rinex_records import Layout
 from starwise.signals import signal_id
 
 KINDS: Final = "CLDS"
@@ -127,7 +127,8 @@ def _layout(
         sig=np.zeros(shape, dtype=np.int16),
         other=np.full(shape, -1, dtype=np.int64),
         per_line=5 if header.version < 3.0 else width,
-        system=SYSTEMS.find(header.system) if header.system in SYSTEMS else 0,
+        # "M" is mixed: there a blank letter is GPS in version 2 and an error in version 3
+        system=SYSTEMS.index(header.system) if header.system in SYSTEMS else -int(header.version >= 3.0),
         picoseconds=int(header.version >= 4.015),
     )
     signals: dict[str, tuple[str, ...]] = {}

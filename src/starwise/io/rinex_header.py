@@ -14,6 +14,8 @@ from starwise.types import ObservationHeader, Problem
 MAX_HEADER_LINES: Final = 20_000
 """A header longer than this is none: 999 satellites with all their counts stay below."""
 
+MAX_KINDS: Final = 100
+"""Different problems of a file that are kept apart."""
 _DEFAULT_TIME: Final = {"R": "GLO", "E": "GAL", "C": "BDT", "J": "QZS", "I": "IRN"}
 """Time system of a pure file that does not name one (RINEX 3.05 table A2, TIME OF FIRST OBS); others GPS."""
 _SLOT: Final = re.compile(r"R *(\d{1,2}) *([+-]?\d{1,2})(?!\d)")
@@ -29,6 +31,8 @@ class Problems:
 
     def add(self, line: int, what: str, count: int = 1) -> None:
         """Count a case of ``what``; the first line given stays."""
+        if what not in self._found and len(self._found) >= MAX_KINDS:
+            what = "further problems"
         known = self._found.get(what)
         if known is None:
             self._found[what] = Problem(self.file, line, what, count)

@@ -14,7 +14,7 @@ from starwise.gnsstime import BDT_OFFSET_S, utc_to_gpst
 from starwise.io.files import unpack
 from starwise.io.rinex_codes import translate
 from starwise.io.rinex_header import Header, Problems, apply_lines, read_header
-from starwise.kernels import rinex_obs as kernel
+from starwise.kernels import rinex_records as kernel
 from starwise.types import I8, U1, Observations, Problem
 
 _WHAT: Final = {
@@ -37,8 +37,8 @@ _FLAGS: Final = {2: "antenna moves", 3: "new site", 4: "header lines", 5: "exter
 def read_obs(*paths: str | Path, limit: int | None = None) -> Observations:
     """Observations of one receiver from one or several files, spliced in time.
 
-    Epochs are sorted; of epochs with the same time the one read first stays. What was dealt with is counted in
-    ``problems``.
+    Epochs are sorted; of epochs with the same time the one that is in sequence with its neighbours in the file
+    stays, else the first. What was dealt with is counted in ``problems``.
 
     Parameters
     ----------
@@ -116,11 +116,17 @@ def splice(parts: Sequence[Observations]) -> Observations:
 
 
 def _in_order(obs: Observations) -> Observations:
-    """Epochs sorted by time, the first of equal ones kept."""
+    """Epochs sorted by time, one kept of those that are equal.
+
+    A damaged time tag must not replace the epoch whose time it took: of equal epochs the first that is not before
+    its predecessor nor after its successor stays, if there is one.
+    """
     t = obs.t_ns
     if len(t) < 2 or bool((np.diff(t) > 0).all()):
         return obs
-    order = np.argsort(t, kind="stable")
+    back = np.diff(t) < 0
+    astray = np.append(back, False) | np.append(False, back)
+    order = np.lexsort((np.arange(len(t)), astray, t))
     keep = np.ones(len(t), dtype=bool)
     keep[1:] = np.diff(t[order]) > 0
     order = order[keep]
@@ -162,6 +168,7 @@ class _Body:
         self.out = _room(None, size // 320 + 64, size // 40 + 256)
         self.segments: list[tuple[int, str]] = [(0, self.header.time_system)]
         self.signals: dict[str, tuple[str, ...]] = {}
+        self.counted = (0, 1)  # a byte position and its line number
         self._relayout(1)
 
     def _relayout(self, line: int) -> None:
@@ -173,8 +180,10 @@ class _Body:
             self.signals[letter] = known + tuple(c for c in codes if c not in known)
 
     def _line(self, pos: int) -> int:
-        """Line number, from 1, of a byte position."""
-        return 1 + self.data.count(b"\n", 0, int(pos))
+        """Line number, from 1, of a byte position; counted from the last one asked for, if that is before."""
+        start, line = self.counted if pos >= self.counted[0] else (0, 1)
+        self.counted = (int(pos), line + self.data.count(b"\n", start, int(pos)))
+        return self.counted[1]
 
     def read(self) -> Observations:
         first = replace(self.header)  # what the file says of itself; events may change what follows
@@ -249,7 +258,7 @@ class _Body:
                 order = np.argsort(t, kind="stable")
                 twice = order[1:][np.diff(t[order]) == 0]
                 at = self._line(int(out.at[int(twice.min())]))
-                self.problems.add(at, "epoch with the time of another: the first kept", same)
+                self.problems.add(at, "epoch with the time of another: one kept", same)
         code, phase, doppler, cn0 = (out.values[kind, :m] for kind in range(4))
         channels = first.channels | self.header.channels
         return _in_order(
@@ -273,9 +282,11 @@ class _Body:
 
 
 def _kernel(header: Header) -> Callable[..., int]:
-    """The kernel for this version; that of version 2 is loaded only if it is needed."""
+    """The kernel for this version; only the one needed is loaded."""
     if header.version >= 3.0:
-        return kernel.read_body
+        from starwise.kernels.rinex_obs import read_body
+
+        return read_body
     from starwise.kernels.rinex_obs2 import read_body2
 
     return read_body2

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starwise.kernels._jit import njit
-from starwise.kernels.rinex_obs import (
+from starwise.kernels.rinex_records import (
     AT,
     BAD_EPOCH,
     BAD_NAME,
