@@ -106,7 +106,8 @@ def _nees(difference: F8, cov: F8) -> F8:
     """Normalised error squared; NaN where the covariance is missing or not positive definite."""
     nees = np.full(len(difference), np.nan)
     usable = np.flatnonzero(np.isfinite(cov).all(axis=(1, 2)) & np.isfinite(difference).all(axis=1))
-    usable = usable[np.linalg.eigvalsh(cov[usable])[:, 0] > 0.0]
+    spread = np.linalg.eigvalsh(cov[usable])
+    usable = usable[spread[:, 0] > 1e-14 * spread[:, 2]]  # below: singular to rounding
     solved = np.linalg.solve(cov[usable], difference[usable][:, :, None])[:, :, 0]
     nees[usable] = np.einsum("ij,ij->i", difference[usable], solved)
     return nees

@@ -69,7 +69,10 @@ def _checksum_holds(sentence: str, given: str | None) -> bool:
 
 
 def _second_of_day(text: str) -> float:
-    return int(text[:2]) * 3600 + int(text[2:4]) * 60 + float(text[4:])
+    second = int(text[:2]) * 3600 + int(text[2:4]) * 60 + float(text[4:])
+    if not 0.0 <= second <= DAY_S:
+        raise ValueError("not a time of day")
+    return second
 
 
 def _row(
@@ -82,7 +85,9 @@ def _row(
     # The date belongs to the second of its own sentence; GGA may stand on the other side of midnight.
     days = round((date_s - second) / DAY_S)
     t_ns = from_calendar(*date, system="UTC") + days * DAY_S * NS + round(second * NS)
-    return t_ns, lat_deg, lon_deg, h, int(gga[5]), int(gga[6] or 0)
+    if not (0 <= t_ns < 1 << 62 and abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0 and abs(h) < 1e9):
+        raise ValueError("out of range")
+    return t_ns, lat_deg, lon_deg, h, int(gga[5]), min(int(gga[6] or 0), 9999)
 
 
 def _angle(text: str, negative: bool, digits: int) -> float:

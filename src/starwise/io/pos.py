@@ -37,6 +37,8 @@ Q_NONE: Final = 0
 """RTKLIB's quality "none": its programs skip the line. Written for suspect epochs."""
 
 _JST_S: Final = 9 * 3600
+_LARGEST: Final = 1e15
+"""Numbers from here on, and infinities, are read as missing: no length, angle or count is that large."""
 _FLIP: Final = [1, 0, 2]  # north, east, up from east, north, up
 
 
@@ -174,6 +176,8 @@ def parse_pos(raw: bytes, name: str) -> Solution:
             _read_header(line, form, name, number)
             continue
         t_ns, rest = _read_time(line, form, name, number)
+        if not 0 <= t_ns < 1 << 62:
+            raise StarwiseError("time out of range", file=name, line=number, found=line.strip())
         try:
             values = [float(part) for part in _NOT_NUMBER.sub(" ", rest).split()]
         except ValueError:
@@ -269,12 +273,12 @@ def _assemble(form: _Form, rows: _Rows, width: int, name: str) -> Solution:
         table[i, : len(values)] = values
     order = np.argsort(np.array(rows.t_ns, dtype=np.int64), kind="stable")
     t_ns, table = np.array(rows.t_ns, dtype=np.int64)[order], table[order]
+    table[~(np.abs(table) < _LARGEST)] = np.nan
     first = 7 if form.coordinates == "dms" else 3
     pos_e, C = _positions(form, table, name)
     block = table[:, first:]
-    with np.errstate(invalid="ignore"):
-        quality = np.nan_to_num(block[:, 0], nan=Q_OK).astype(np.int64)
-        n_used = np.nan_to_num(block[:, 1], nan=0.0).astype(np.int32)
+    quality = np.nan_to_num(block[:, 0], nan=Q_OK).astype(np.int64)
+    n_used = np.clip(np.nan_to_num(block[:, 1]), 0, 9999).astype(np.int32)
     local = form.coordinates in ("llh", "dms")
     # Columns in the order of the axes: n e u (llh), x y z, or e n u.
     axes = _FLIP if local else [0, 1, 2]
@@ -283,7 +287,10 @@ def _assemble(form: _Form, rows: _Rows, width: int, name: str) -> Solution:
     vel = block[:, 10:13][:, axes] if block.shape[1] >= 13 else np.full((n, 3), np.nan)
     sd_vel = block[:, 13:19] if block.shape[1] >= 19 else np.full((n, 6), np.nan)
     vel_e = (C.transpose(0, 2, 1) @ vel[:, :, None])[:, :, 0]
-    status = np.select([quality == Q_NONE, quality == Q_COASTED], [EPOCH_SUSPECT, EPOCH_COASTED], EPOCH_OK)
+    absent = ~np.isfinite(pos_e).all(axis=1)
+    status = np.select(
+        [absent, quality == Q_NONE, quality == Q_COASTED], [EPOCH_NO_SOLUTION, EPOCH_SUSPECT, EPOCH_COASTED], EPOCH_OK
+    )
     none = np.full((n, 0), np.nan)
     return Solution(
         t_ns=t_ns,
@@ -333,7 +340,7 @@ def _positions(form: _Form, table: F8, name: str) -> tuple[F8, F8]:
         lat_deg, lon_deg, h = _degrees(table[:, :3]), _degrees(table[:, 3:6]), table[:, 6]
     else:
         lat_deg, lon_deg, h = table[:, 0], table[:, 1], table[:, 2]
-    if n and (np.nanmax(np.abs(lat_deg)) > 90.0 or np.nanmax(np.abs(lon_deg)) > 360.0):
+    if (np.abs(lat_deg) > 90.0).any() or (np.abs(lon_deg) > 360.0).any():
         raise StarwiseError("latitude or longitude outside its range", file=name, wanted="degrees")
     llh = np.stack([np.radians(lat_deg), np.radians(lon_deg), h], axis=1)
     return ecef_from_geodetic(llh), rotations_ne_enu(llh[:, 0], llh[:, 1])

@@ -88,7 +88,10 @@ def _read_table(path: Path) -> Truth:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise StarwiseError(f"cannot be read ({error})", file=path) from None
-    rows = [(n, row) for n, row in enumerate(csv.reader(text.splitlines()), 1) if any(c.strip() for c in row)]
+    try:
+        rows = [(n, row) for n, row in enumerate(csv.reader(text.splitlines()), 1) if any(c.strip() for c in row)]
+    except csv.Error as error:
+        raise StarwiseError(f"not a table ({error})", file=path) from None
     if not rows:
         raise StarwiseError("the table is empty", file=path)
     names = [re.sub(r"[^a-z0-9]", "", cell.lower()) for cell in rows[0][1]]
@@ -106,17 +109,29 @@ def _read_table(path: Path) -> Truth:
     for number, row in rows:
         try:
             pos.append(position_of(row))
-            t_ns.append(time_of(row))
+            t_ns.append(_instant(time_of(row)))
         except (ValueError, IndexError, OverflowError, StarwiseError):
             raise StarwiseError("row not readable", file=path, line=number, found=",".join(row)) from None
     if not t_ns:
         raise StarwiseError("the table has no rows", file=path)
     times, first = np.unique(np.array(t_ns, dtype=np.int64), return_index=True)
     table = np.array(pos)[first]
-    if _column(names, _LAT) is not None:
-        table = ecef_from_geodetic(np.column_stack([np.radians(table[:, :2]), table[:, 2]]))
+    table[~(np.abs(table) < 1e9)] = np.nan
     finite = np.isfinite(table).all(axis=1)
-    return Truth(table[finite], times[finite], str(path))
+    times, table = times[finite], table[finite]
+    if _column(names, _LAT) is not None:
+        if (np.abs(table[:, 0]) > 90.0).any() or (np.abs(table[:, 1]) > 360.0).any():
+            raise StarwiseError("latitude or longitude outside its range", file=path, wanted="degrees")
+        table = ecef_from_geodetic(np.column_stack([np.radians(table[:, :2]), table[:, 2]]))
+    if not len(times):
+        raise StarwiseError("no row has a position", file=path)
+    return Truth(table, times, str(path))
+
+
+def _instant(t_ns: int) -> int:
+    if not 0 <= t_ns < 1 << 62:
+        raise ValueError
+    return t_ns
 
 
 def _column(names: Sequence[str], wanted: Sequence[str]) -> int | None:
