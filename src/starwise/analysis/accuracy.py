@@ -185,8 +185,8 @@ def _statistics(solution: Solution, matched: Matched, which: Mask, vertical: boo
     at = matched.at[which]
     known = np.isfinite(nees)
     length_2d, length_3d = np.hypot(error[:, 0], error[:, 1]), np.linalg.norm(error, axis=1)
-    sigma_3d = np.sqrt(np.trace(solution.cov_pos[at], axis1=1, axis2=2))
-    sigma_3d = sigma_3d[np.isfinite(sigma_3d)]
+    trace = np.trace(solution.cov_pos[at], axis1=1, axis2=2)
+    sigma_3d = np.sqrt(trace[np.isfinite(trace) & (trace >= 0.0)])
     nothing = not len(error)
 
     def value(number: Any, *, needs_height: bool = False, absent: bool = False) -> float | None:
