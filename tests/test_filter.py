@@ -330,3 +330,11 @@ def test_vertical_process_noise_is_vertical():
     C = C_ne_enu(*geodetic_from_ecef(RECEIVER)[:2])
     grown = np.sqrt(np.diag(C @ (ep.cov_pos[59] - ep.cov_pos[29]) @ C.T))
     assert grown[2] < 0.5 * grown[0]
+
+
+def test_motion_under_a_static_model_is_flagged():
+    epochs, rows, truth = sky(10, 60, velocity=CAR, code_sigma=1.0, rate_sigma=RATE)
+    ep, _ = both(epochs, rows, dynamics="static")
+    wrong = error(ep, truth) > 20.0  # m
+    assert np.isin(ep.status[wrong], [EPOCH_SUSPECT]).all()
+    assert (ep.status[1:] != EPOCH_OK).all(), "the rates say at once that the receiver moves"

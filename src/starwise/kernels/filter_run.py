@@ -295,7 +295,7 @@ def _update_satellites(
 def update_epoch(
     options: FilterOptions, rows: Rows, out: RowModel, m: int, x: F8, P: F8, nk: int, nc: int, at: I8,
     x2: F8, P2: F8, work: Work,
-) -> tuple[float, int, int]:  # fmt: skip
+) -> tuple[float, int, int, bool]:  # fmt: skip
     """Measurement update of one epoch with the rows in ``work.order``; x and P in place, row outputs written.
 
     If it moves the position by more than 20 m, it is done once more from the prediction with the rows linearised at
@@ -309,6 +309,9 @@ def update_epoch(
         Their number.
     n_used : int
         Satellites whose code was used.
+    agreed : bool
+        At least half of the codes were used, and of the rates where there are four or more (a receiver that moves
+        under a static model shows in its rates first).
     """
     n = nk + 2 * nc
     for i in range(n):
@@ -326,9 +329,11 @@ def update_epoch(
             for j in range(n):
                 P[i, j] = P2[i, j]
         nis, dof = _update_linear(options, rows, out, m, x, P, nk, nc, at, x2, work)
-    n_used = 0
+    n_used, n_rates, n_rates_used = 0, 0, 0
     for k in range(m):
         i = work.order[k]
+        n_rates += 1 if work.so[k, 1] == work.so[k, 1] else 0
+        n_rates_used += 1 if work.used[k] & USED_RATE else 0
         out.v_code[i], out.v_rate[i] = work.vo[k, 0], work.vo[k, 1]
         out.s_code[i], out.s_rate[i] = work.so[k, 0], work.so[k, 1]
         out.rate_used[i] = 1 if work.used[k] & USED_RATE else 0
@@ -337,7 +342,7 @@ def update_epoch(
             n_used += 1
         else:
             out.status[i] = ROW_GATED
-    return nis, dof, n_used
+    return nis, dof, n_used, 2 * n_used >= m and (n_rates < 4 or 2 * n_rates_used >= n_rates)
 
 
 @njit
@@ -684,14 +689,14 @@ def filter_run(
         if m > 0:
             align_clocks(options, rows, out, m, x, P, nk, nc, at, work)
             nc = activate_clocks(options, rows, out, m, t_ns, nk, nc, belief, x2, P2, work)
-        nis, dof, n_used = update_epoch(options, rows, out, m, x, P, nk, nc, at, x2, P2, work)
+        nis, dof, n_used, agreed = update_epoch(options, rows, out, m, x, P, nk, nc, at, x2, P2, work)
         _count_missed(rows, m, t_ns, belief, work)
         _write(e, nk, nc, belief, ep)
         dops(out, start, end, ep.dop[e])
         ep.n_used[e], ep.dof[e], ep.nis[e] = n_used, dof, nis
         if m == 0:
             ep.status[e] = EPOCH_COASTED
-        elif 2 * n_used < m or nis > threshold(options.chi2, dof):
+        elif not agreed or nis > threshold(options.chi2, dof):
             failed += 1
             ep.status[e] = EPOCH_SUSPECT
         else:
