@@ -261,7 +261,7 @@ def true_states(table: OrbitTable, index: I8, t_ns: I8, out: F8) -> None:
 
 
 @njit
-def _gravity(x: float, y: float, z: float, vx: float, vy: float) -> tuple[float, float, float]:
+def glonass_gravity(x: float, y: float, z: float, vx: float, vy: float) -> tuple[float, float, float]:
     """Acceleration in PZ-90 (turning): central body, second zonal harmonic, centrifugal and Coriolis."""
     r2 = x * x + y * y + z * z
     r = math.sqrt(r2)
@@ -297,7 +297,7 @@ def integrate(nodes: F8, start: int, step: float) -> None:
                     y = np.empty(6)
                     for j in range(6):
                         y[j] = s[j] + (f * b[j] if stage > 0 else 0.0)
-                    ax, ay, az = _gravity(y[0], y[1], y[2], y[3], y[4])
+                    ax, ay, az = glonass_gravity(y[0], y[1], y[2], y[3], y[4])
                     k[stage, 0], k[stage, 1], k[stage, 2] = y[3], y[4], y[5]
                     k[stage, 3], k[stage, 4], k[stage, 5] = ax, ay, az
                 for j in range(6):

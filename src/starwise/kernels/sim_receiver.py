@@ -1,6 +1,7 @@
 """True delays of the simulator's atmosphere along light paths, and correlated noise."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,17 @@ _SHELL_M = 400_000.0
 _EARTH_M = 6_371_000.0
 
 
+class Air(NamedTuple):
+    """The true atmosphere of a run."""
+
+    iono: int  # IONO_*
+    iono_coef: F8  # (8,) Klobuchar coefficients, or content and gradients of the layer
+    iono_scale: float  # times the broadcast model
+    tropo: int  # TROPO_*
+    tropo_offset: F8  # (m,) zenith delay beyond the model by epoch, m
+    tropo_rate: F8  # (m,) its rate, m/s
+
+
 @njit
 def _layer(coef: F8, lat: float, lon: float, az: float, el: float, day_s: float) -> float:
     """Slant L1 delay, m, of a thin layer with a daily course.
@@ -38,8 +50,9 @@ def _layer(coef: F8, lat: float, lon: float, az: float, el: float, day_s: float)
     hour = day_s / 3600.0 + math.degrees(lon_p) / 15.0
     off = hour - 14.0 - 24.0 * math.floor((hour - 14.0) / 24.0 + 0.5)
     day = math.cos(0.5 * math.pi * off / 10.0) ** 2 if abs(off) < 10.0 else 0.0
-    content = coef[0] + coef[1] * math.degrees(north) + coef[2] * math.degrees(east)
-    return _M_PER_TECU * max(content, 0.0) * (0.15 + 0.85 * day) / math.sqrt(1.0 - sin_zp * sin_zp)
+    content: float = coef[0] + coef[1] * math.degrees(north) + coef[2] * math.degrees(east)
+    vertical: float = _M_PER_TECU * max(content, 0.0) * (0.15 + 0.85 * day)
+    return vertical / math.sqrt(1.0 - sin_zp * sin_zp)
 
 
 @njit
@@ -65,16 +78,18 @@ def _place(px: float, py: float, pz: float) -> tuple[float, float, float]:
 
 @njit
 def _slant(
-    iono: int, iono_coef: F8, tropo: int, offset: float, lat: float, lon: float, h: float, az: float, el: float,
-    day_s: float, doy: float,
+    air: Air, vertical: float, offset: float, lat: float, lon: float, h: float, az: float, el: float, day_s: float,
+    doy: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """L1 ionosphere (without residual) and troposphere (with its zenith ``offset``), slant, m."""
+    """L1 ionosphere and troposphere, slant, m, with what comes on top of the models, vertical."""
     i, t = 0.0, 0.0
-    if iono == IONO_BROADCAST:
-        i = klobuchar(iono_coef, lat, lon, az, el, day_s)
-    elif iono == IONO_LAYER:
-        i = _layer(iono_coef, lat, lon, az, el, day_s)
-    if tropo == TROPO_MODEL:
+    if air.iono == IONO_BROADCAST:
+        i = air.iono_scale * klobuchar(air.iono_coef, lat, lon, az, el, day_s)
+    elif air.iono == IONO_LAYER:
+        i = _layer(air.iono_coef, lat, lon, az, el, day_s)
+    if vertical != 0.0:
+        i += vertical * iono_mapping(el)
+    if air.tropo == TROPO_MODEL:
         dry, wet = troposphere(lat, h, el, doy)
         t = dry + wet
         if offset != 0.0:
@@ -96,21 +111,14 @@ def _seen(px: float, py: float, pz: float, sx: float, sy: float, sz: float) -> t
 
 @njit
 def delays(
-    iono: int, iono_coef: F8, iono_scale: float, tropo: int, tropo_offset: F8, tag_ns: I8, epoch: I8,
-    pos_e: F8, vel_e: F8, sat_pos: F8, sat_vel: F8, azimuth: F8, elevation: F8, out: F8,
+    air: Air, tag_ns: I8, epoch: I8, pos_e: F8, vel_e: F8, sat_pos: F8, sat_vel: F8, azimuth: F8, elevation: F8,
+    vertical: F8, vertical_rate: F8, out: F8,
 ) -> None:  # fmt: skip
     """Atmospheric delays of light paths and their rates.
 
     Parameters
     ----------
-    iono, tropo : int
-        ``IONO_*``, ``TROPO_*``.
-    iono_coef : (8,) float64
-        Klobuchar coefficients, or content and gradients of the layer.
-    iono_scale : float
-        Times the broadcast model.
-    tropo_offset : (m,) float64
-        Zenith delay beyond the model, by epoch, m.
+    air : Air
     tag_ns : (m,) int64
     epoch : (n,) int64
         Epoch of each path.
@@ -118,6 +126,8 @@ def delays(
         Receiver.
     sat_pos, sat_vel : (n, 3) float64
     azimuth, elevation : (n,) float64
+    vertical, vertical_rate : (n,) float64
+        Vertical L1 delay beyond the model, m, and its rate, m/s.
     out : (n, 4) float64
         L1 ionosphere m, its rate m/s, troposphere m, its rate m/s (rates by a difference over 1 s).
     """
@@ -127,21 +137,24 @@ def delays(
         day_s = float(seconds % 604_800)
         doy = (seconds // 86_400 + 5.0) % 365.25 + 1.0
         lat, lon, h = _place(pos_e[m, 0], pos_e[m, 1], pos_e[m, 2])
-        a, b = _slant(
-            iono, iono_coef, tropo, tropo_offset[m], lat, lon, h, azimuth[i], elevation[i], day_s, doy
+        el = elevation[i]
+        iono, tropo = _slant(
+            air, vertical[i], air.tropo_offset[m], lat, lon, h, azimuth[i], el, day_s, doy
         )  # fmt: skip
-        rate_a, rate_b = 0.0, 0.0
+        iono_rate = vertical_rate[i] * iono_mapping(el) if vertical_rate[i] != 0.0 else 0.0
+        tropo_rate = 0.0
+        if air.tropo_rate[m] != 0.0:
+            tropo_rate = air.tropo_rate[m] * niell(lat, h, el, doy)[1]
         for side in (-0.5, 0.5):
             lat, lon, h, az, el = _seen(
                 pos_e[m, 0] + side * vel_e[m, 0], pos_e[m, 1] + side * vel_e[m, 1], pos_e[m, 2] + side * vel_e[m, 2],
                 sat_pos[i, 0] + side * sat_vel[i, 0], sat_pos[i, 1] + side * sat_vel[i, 1],
                 sat_pos[i, 2] + side * sat_vel[i, 2],
             )  # fmt: skip
-            c, d = _slant(iono, iono_coef, tropo, tropo_offset[m], lat, lon, h, az, el, day_s + side, doy)
-            rate_a += 2.0 * side * c
-            rate_b += 2.0 * side * d
-        out[i, 0], out[i, 1] = iono_scale * a, iono_scale * rate_a
-        out[i, 2], out[i, 3] = b, rate_b
+            a, b = _slant(air, vertical[i], air.tropo_offset[m], lat, lon, h, az, el, day_s + side, doy)
+            iono_rate += 2.0 * side * a
+            tropo_rate += 2.0 * side * b
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = iono, iono_rate, tropo, tropo_rate
 
 
 @njit

@@ -12,6 +12,7 @@ from starwise.kernels.sim_receiver import (
     IONO_NONE,
     TROPO_MODEL,
     TROPO_NONE,
+    Air,
     delays,
     markov,
 )
@@ -81,21 +82,15 @@ def atmosphere(
     if iono.model == "none" and tropo.model == "none":
         return out
     zenith, zenith_rate = _zenith(tropo, tag_ns, streams)
-    code, coef, scale = _ionosphere(iono, klobuchar)
-    delays(
-        code, coef, scale, TROPO_MODEL if tropo.model != "none" else TROPO_NONE, zenith, tag_ns, epoch,
-        pos_e, vel_e, p.sat_pos, p.sat_vel, p.azimuth, p.elevation, out,
-    )  # fmt: skip
-    if tropo.model != "none" and zenith_rate.any():
-        out[:, 3] += zenith_rate[epoch] / np.maximum(np.sin(p.elevation), 0.03)
+    air = _air(iono, klobuchar, TROPO_MODEL if tropo.model != "none" else TROPO_NONE, zenith, zenith_rate)
+    vertical, vertical_rate = np.zeros(len(sv)), np.zeros(len(sv))
     if iono.model != "none" and iono.residual_m > 0.0:
-        s = 6371.0 / 6771.0 * np.cos(np.maximum(p.elevation, 0.0))
-        mapping = 1.0 / np.sqrt(1.0 - s * s)
         for one in np.unique(sv):
             rows = np.flatnonzero(sv == one)
             value, rate = smooth_markov(tag_ns, iono.residual_tau_s, streams(f"ionosphere/{sv_name(int(one))}"))
-            out[rows, 0] += iono.residual_m * value[epoch[rows]] * mapping[rows]
-            out[rows, 1] += iono.residual_m * rate[epoch[rows]] * mapping[rows]
+            vertical[rows] = iono.residual_m * value[epoch[rows]]
+            vertical_rate[rows] = iono.residual_m * rate[epoch[rows]]
+    delays(air, tag_ns, epoch, pos_e, vel_e, p.sat_pos, p.sat_vel, p.azimuth, p.elevation, vertical, vertical_rate, out)
     return out
 
 
@@ -108,12 +103,13 @@ def _zenith(tropo: Troposphere, tag_ns: I8, streams: Streams) -> tuple[F8, F8]:
     return zenith, rate
 
 
-def _ionosphere(iono: Ionosphere, klobuchar: F8) -> tuple[int, F8, float]:
+def _air(iono: Ionosphere, klobuchar: F8, tropo: int, zenith: F8, zenith_rate: F8) -> Air:
     coef = np.zeros(8)
+    code, scale = IONO_NONE, 1.0
     if iono.model == "broadcast":
         coef[:] = klobuchar
-        return IONO_BROADCAST, coef, iono.scale
-    if iono.model == "layer":
+        code, scale = IONO_BROADCAST, iono.scale
+    elif iono.model == "layer":
         coef[:3] = iono.vtec_tecu, iono.north_tecu_per_deg, iono.east_tecu_per_deg
-        return IONO_LAYER, coef, 1.0
-    return IONO_NONE, coef, 1.0
+        code = IONO_LAYER
+    return Air(code, coef, scale, tropo, zenith, zenith_rate)

@@ -54,6 +54,7 @@ from starwise.kernels.sim_orbits import (
     REL_ECCENTRICITY,
     REL_NONE,
     OrbitTable,
+    glonass_gravity,
     integrate,
     true_states,
 )
@@ -211,6 +212,7 @@ class _Satellite:
     health: int = 0
     accuracy_m: float = 2.0
     dtau_s: float = 0.0
+    from_tle: bool = False
 
 
 class _Maker:
@@ -360,7 +362,7 @@ class _Maker:
             if sv >> 8 not in MU:
                 continue
             satellite = self._new(sv, channels.get(sv, 0))
-            satellite.nodes = states
+            satellite.nodes, satellite.from_tle = states, True
             if sv >> 8 != SYS_R:
                 satellite.relativity = REL_DOT_PRODUCT
             self.satellites.append(satellite)
@@ -406,7 +408,7 @@ class _Maker:
                 par = np.zeros(N_EPH_PAR)
                 state = _sampled(table, k, np.array([toe_ns]))[0]
                 par[R_X : R_X + 3], par[R_VX : R_VX + 3] = state[:3], state[3:6]
-                par[R_AX : R_AX + 3] = 0.0
+                par[R_AX : R_AX + 3] = _left_over(table, k, toe_ns) if satellite.from_tle else 0.0
                 par[R_TAU], par[R_GAMMA] = clock[0], clock[1]
                 par[R_CHANNEL], par[R_DTAU] = satellite.channel, satellite.dtau_s
             else:
@@ -462,6 +464,16 @@ def _sampled(table: OrbitTable, k: int, t_ns: I8) -> F8:
     out = np.empty((len(t_ns), 8))
     true_states(table, np.full(len(t_ns), k, dtype=np.int64), np.ascontiguousarray(t_ns, dtype=np.int64), out)
     return out
+
+
+def _left_over(table: OrbitTable, k: int, t_ns: int) -> F8:
+    """Acceleration (3,) of a true GLONASS orbit beyond the message's own model: its luni-solar term."""
+    h = 120
+    states = _sampled(table, k, t_ns + np.array([-2, -1, 0, 1, 2], dtype=np.int64) * h * NS)
+    v = states[:, 3:6]
+    x, y, z, vx, vy = (float(s) for s in states[2, :5])
+    acceleration = (8.0 * (v[3] - v[1]) - (v[4] - v[0])) / (12.0 * h)  # to 1e-8 m/s^2
+    return np.asarray(acceleration - np.array(glonass_gravity(x, y, z, vx, vy)))
 
 
 def _table(satellites: Sequence[_Satellite], node_ns: int) -> OrbitTable:
