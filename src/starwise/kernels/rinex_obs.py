@@ -1,5 +1,7 @@
 """Bodies of RINEX observation files, versions 3 and 4: bytes in, rows out (RINEX 3.05 table A3, columns from 0)."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,7 +48,7 @@ def epoch_record(buf: NDArray[np.uint8], pos: int, end: int, layout: Layout) -> 
     """Epoch record of version 3: label ns, its validity, flag and satellites (-1 bad), clock s, its validity."""
     if end - pos < 32:
         return 0, False, -1, -1, np.nan, True
-    flag = np.int64(0) if buf[pos + 31] == 32 else np.int64(buf[pos + 31]) - 48
+    flag: Any = np.int64(0) if buf[pos + 31] == 32 else np.int64(buf[pos + 31]) - 48
     if not 0 <= flag <= 6:
         flag = -1
     count, ok = parse_int(buf, pos + 32, min(pos + 35, end))

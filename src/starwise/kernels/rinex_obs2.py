@@ -4,6 +4,8 @@ Columns follow RINEX 2.11 table A2, counted from 0. Nothing marks an epoch recor
 doubled line shifts every satellite after it: an epoch whose lines do not end where the next record starts is dropped.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -53,7 +55,7 @@ def epoch_record2(buf: NDArray[np.uint8], pos: int, end: int) -> tuple[int, int,
     """
     if end - pos < 29 or buf[pos] != 32 or buf[pos + 27] != 32:
         return 0, -1, -1
-    flag = 0 if buf[pos + 28] == 32 else np.int64(buf[pos + 28]) - 48
+    flag: Any = np.int64(0) if buf[pos + 28] == 32 else np.int64(buf[pos + 28]) - 48
     if not 0 <= flag <= 6:
         return 0, -1, -1
     count, ok = parse_int(buf, pos + 29, min(pos + 32, end))
@@ -171,7 +173,7 @@ def read_body2(
     """Epochs of a RINEX 2 body; parameters and result as for `starwise.kernels.rinex_obs.read_body`."""
     n = len(buf)
     pos = state[POS]
-    per = (np.max(layout.n_fields) + layout.per_line - 1) // layout.per_line
+    per: Any = (np.max(layout.n_fields) + layout.per_line - 1) // layout.per_line
     while pos < n:
         eol = line_feed(buf, pos, n)
         end = text_end(buf, pos, eol)

@@ -4,7 +4,7 @@ Columns are counted from 0. Nothing in the text is trusted: every index is check
 or the capacity of the outputs before it is used.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -173,7 +173,7 @@ def label_ns(
     i = sec
     while i < sec + 3 and buf[i] == 32:
         i += 1
-    whole = 0
+    whole: Any = 0
     if i == sec + 3:
         return 0, False
     while i < sec + 3:
@@ -183,7 +183,7 @@ def label_ns(
         i += 1
     if buf[i] != 46 or whole > 60:
         return 0, False
-    ns = 0
+    ns: Any = 0
     for k in range(1, 8):
         c = np.int64(buf[i + k])
         if c == 32:
@@ -200,15 +200,16 @@ def label_ns(
 @njit
 def satellite(buf: NDArray[np.uint8], pos: int, blank_system: int) -> int:
     """Satellite identifier of the three bytes at ``pos`` (``G05``, ``G 5``, `` 5``), -1 if it is none."""
-    system = _SYSTEM_OF_LETTER[buf[pos]]
+    system = int(_SYSTEM_OF_LETTER[buf[pos]])
     if buf[pos] == 32:
         system = blank_system
-    a, b = np.int64(buf[pos + 1]), np.int64(buf[pos + 2])
+    a: Any = np.int64(buf[pos + 1])
+    b: Any = np.int64(buf[pos + 2])
     if a == 32:
         a = np.int64(48)
     if system < 0 or not (48 <= a <= 57 and 48 <= b <= 57):
         return -1
-    number = (a - 48) * 10 + (b - 48)
+    number: int = (a - 48) * 10 + (b - 48)
     if number == 0:
         return -1
     return system << 8 | number
@@ -279,7 +280,8 @@ def read_records(
                     break
                 to = place[system, f]
                 if to >= 0:
-                    whole, v, ok = np.int64(0), np.nan, False
+                    whole, v = np.int64(0), np.nan
+                    ok: Any = False
                     if p + 14 <= end and buf[p + 10] == 46:
                         i0 = p
                         dot = p + 10
