@@ -7,6 +7,7 @@ import contextlib
 import json
 import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -29,7 +30,8 @@ POS: Final = "solution.pos"
 RUN: Final = "run.json"
 RESULT_FILES: Final = (SOLUTION, LEDGER, POS, RUN)
 
-_COMPRESSION: Final = "lz4"  # a tenth larger than zstd, three times faster, on a day of 250 000 ledger rows
+_COMPRESSION: Final = "zstd"
+_LEVEL: Final = 1  # as fast as lz4 on a ledger of a day and a quarter smaller; level 3 takes half as long again
 _GPS_EPOCH_UNIX_NS: Final = 315_964_800 * 1_000_000_000
 _AXES: Final = "xyz"
 _PAIRS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -62,8 +64,8 @@ def write_results(solution: Solution, directory: str | Path) -> dict[str, Path]:
     }
     temporary = {name: folder / f".{name}.{os.getpid()}.tmp" for name in writers}
     try:
-        for name, write in writers.items():
-            write(temporary[name])
+        with ThreadPoolExecutor(2) as pool:  # Parquet is encoded while the text is formatted
+            list(pool.map(lambda name: writers[name](temporary[name]), (LEDGER, POS, SOLUTION, RUN)))
         _write_bytes(_json(_run_record(solution, complete=False)), folder / RUN)
         for name in writers:
             os.replace(temporary[name], folder / name)
@@ -126,7 +128,7 @@ def _write_bytes(data: bytes, path: Path) -> None:
 
 
 def _write_parquet(table: "pl.DataFrame", path: Path) -> None:
-    table.write_parquet(path, compression=_COMPRESSION)
+    table.write_parquet(path, compression=_COMPRESSION, compression_level=_LEVEL)
 
 
 def _series(name: str, values: NDArray[Any]) -> "pl.Series":
