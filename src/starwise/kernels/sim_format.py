@@ -49,7 +49,8 @@ def _blank(buf: U1, start: int, end: int) -> None:
 
 @njit
 def observation_lines(
-    row_offsets: I8, epoch_bytes: U1, epoch_starts: I8, sv: I2, column: I8, n_columns: I8, letters: U1,
+    row_offsets: I8, epoch_bytes: U1, epoch_starts: I8, sv: I2, column: I8, place: I8, n_columns: I8,
+    letters: U1,
     values: F8, lli: U1, out: U1,
 ) -> int:  # fmt: skip
     """Epoch records of a RINEX 3 observation file; returns the number of bytes written.
@@ -62,7 +63,9 @@ def observation_lines(
         Text of the epoch lines, each with its end of line.
     sv : (n_rows,) int16
     column : (n_rows,) int64
-        First observation column of the row's signal; code, phase, Doppler and C/N0 follow, -1 for those not written.
+        First observation column of the row's signal.
+    place : (4,) int64
+        Where code, phase, Doppler and C/N0 stand from there; -1 for what is not written.
     n_columns : (7,) int64
         Observation types by system.
     letters : (7,) uint8
@@ -96,7 +99,9 @@ def observation_lines(
                 if strength > 0.0:
                     ssi = min(max(int(strength / 6.0), 1), 9)  # RINEX 3.05 table A2
                 for k in range(4):
-                    field = at + SATELLITE + FIELD * (column[r] + k)
+                    if place[k] < 0:
+                        continue
+                    field = at + SATELLITE + FIELD * (column[r] + place[k])
                     if _fixed(out, field + 14, 14, values[r, k]):
                         last = max(last, field + 14)
                         if k == 1 and lli[r] > 0:

@@ -333,6 +333,7 @@ def _observations(
         doppler = -(t.rate_mps + t.rate_noise_mps + t.rate_fault_mps) / rows.wavelength_m
     counts = np.bincount(epoch[path], minlength=len(motion.t_ns))
     systems = {SYSTEMS[int(s) >> 8] for s in np.unique(sv)}
+    kinds = "C" + "L" * receiver.phase + "D" * receiver.doppler + "S"
     step = np.diff(motion.t_ns)
     header = ObservationHeader(
         version="3.05",
@@ -341,7 +342,11 @@ def _observations(
         antenna="ISOTROPIC",
         approx_pos_e=(float(motion.pos_e[0, 0]), float(motion.pos_e[0, 1]), float(motion.pos_e[0, 2])),
         interval_s=float(step[0]) / NS if len(step) else None,
-        signals={letter: receiver.signals[letter] for letter in SYSTEMS if letter in systems},
+        signals={
+            letter: tuple(kind + name for name in receiver.signals[letter] for kind in kinds)
+            for letter in SYSTEMS
+            if letter in systems
+        },
     )
     return Observations(
         t_ns=motion.t_ns,

@@ -99,8 +99,9 @@ def write_obs(obs: Observations, path: str | Path, program: str = PROGRAM) -> No
     if obs.n_epochs == 0:
         raise StarwiseError("no epoch to write", file=path)
     signals = _signals_of(obs)
-    text = _obs_header(obs, signals, program).encode("ascii", "replace")
-    _write(path, text + _obs_body(obs, signals))
+    kinds = _kinds_of(obs)
+    text = _obs_header(obs, signals, kinds, program).encode("ascii", "replace")
+    _write(path, text + _obs_body(obs, signals, kinds))
 
 
 def _signals_of(obs: Observations) -> dict[str, list[str]]:
@@ -110,12 +111,19 @@ def _signals_of(obs: Observations) -> dict[str, list[str]]:
     for letter in SYSTEMS:
         present = [signal_name(int(g)) for s, g in pairs if SYSTEMS[s] == letter]
         if present:
-            declared = [s for s in obs.header.signals.get(letter, ()) if s in present]
+            declared = [code[1:] for code in obs.header.signals.get(letter, ()) if code[1:] in present]
+            declared = list(dict.fromkeys(declared))
             found[letter] = declared + [s for s in present if s not in declared]
     return found
 
 
-def _obs_header(obs: Observations, signals: dict[str, list[str]], program: str) -> str:
+def _kinds_of(obs: Observations) -> str:
+    """Kinds of observations that occur: the pseudorange and ``L``, ``D``, ``S`` where there are any."""
+    columns = {"L": obs.phase_cyc, "D": obs.doppler_hz, "S": obs.cn0_dbhz}
+    return "C" + "".join(kind for kind, values in columns.items() if np.isfinite(values).any())
+
+
+def _obs_header(obs: Observations, signals: dict[str, list[str]], kinds: str, program: str) -> str:
     h = obs.header
     systems = set(signals)
     kind = systems.pop() if len(systems) == 1 else "M"
@@ -133,7 +141,7 @@ def _obs_header(obs: Observations, signals: dict[str, list[str]], program: str) 
         _line("".join(f"{v:14.4f}" for v in h.antenna_hen), "ANTENNA: DELTA H/E/N"),
     ]
     for letter, names in signals.items():
-        types = [kind + name for name in names for kind in "CLDS"]
+        types = [kind + name for name in names for kind in kinds]
         for k in range(0, len(types), 13):
             head = f"{letter}  {len(types):3d}" if k == 0 else " " * 6
             out.append(_line(head + "".join(f" {t}" for t in types[k : k + 13]), "SYS / # / OBS TYPES"))
@@ -164,15 +172,15 @@ def _calendar(t_ns: int, decimals: int) -> str:
     return f"{at.year:6d}{at.month:6d}{at.day:6d}{at.hour:6d}{at.minute:6d}{at.second + rest / NS:13.{decimals}f}"
 
 
-def _obs_body(obs: Observations, signals: dict[str, list[str]]) -> bytes:
+def _obs_body(obs: Observations, signals: dict[str, list[str]], kinds: str) -> bytes:
     """Epoch records."""
     column = np.zeros((len(SYSTEMS), 1 << 15), dtype=np.int64)
     n_columns = np.zeros(len(SYSTEMS), dtype=np.int64)
     for letter, names in signals.items():
         system = SYSTEMS.index(letter)
-        n_columns[system] = 4 * len(names)
+        n_columns[system] = len(kinds) * len(names)
         for k, name in enumerate(names):
-            column[system, signal_id(name)] = 4 * k
+            column[system, signal_id(name)] = len(kinds) * k
     epoch = obs.epoch_of_row()
     new = np.ones(obs.n_rows, dtype=bool)
     new[1:] = (obs.sv[1:] != obs.sv[:-1]) | (epoch[1:] != epoch[:-1])
@@ -189,9 +197,10 @@ def _obs_body(obs: Observations, signals: dict[str, list[str]]) -> bytes:
     size = len(text) + int((SATELLITE + FIELD * n_columns[obs.sv[new] >> 8] + 1).sum())
     out = np.empty(size, dtype=np.uint8)
     letters = np.frombuffer(SYSTEMS.encode(), dtype=np.uint8)
+    place = np.array([kinds.find(kind) for kind in "CLDS"], dtype=np.int64)
     used = observation_lines(
-        obs.offsets, text, starts, np.ascontiguousarray(obs.sv), column[obs.sv >> 8, obs.sig], n_columns, letters,
-        np.ascontiguousarray(values), np.ascontiguousarray(obs.lli), out,
+        obs.offsets, text, starts, np.ascontiguousarray(obs.sv), column[obs.sv >> 8, obs.sig], place, n_columns,
+        letters, np.ascontiguousarray(values), np.ascontiguousarray(obs.lli), out,
     )  # fmt: skip
     return out[:used].tobytes()
 

@@ -20,7 +20,7 @@ from starwise.sim.truth import SimTruth
 from starwise.types import F8, I8, BroadcastRecords, IonosphereModel, Observations
 
 _TAYLOR_S: Final = 2e-3
-"""Up to this clock offset the path between tag and reception is a parabola (jerk 100 m/s^3: 1e-7 m)."""
+"""Up to this clock offset a smooth path between tag and reception is a parabola (jerk 100 m/s^3: 1e-7 m)."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +103,15 @@ class Simulator:
     def _at_tags(self) -> tuple[TrajectoryStates, F8, F8]:
         return self._antenna(self.scenario.t_ns)
 
+    @cached_property
+    def _to_knot_s(self) -> F8:
+        """Time between each tag and the nearest instant at which the path is not smooth, s."""
+        path = self.scenario.trajectory
+        t_s = (self.scenario.t_ns - path.t0_ns) * 1e-9
+        k = np.searchsorted(path.knots_s, t_s)
+        after = path.knots_s[np.minimum(k, len(path.knots_s) - 1)]
+        return np.minimum(np.abs(after - t_s), np.abs(path.knots_s[np.maximum(k - 1, 0)] - t_s))
+
     def _antenna(self, t_ns: I8) -> tuple[TrajectoryStates, F8, F8]:
         """Body, and position and velocity of the antenna, at times."""
         body = self.scenario.trajectory.states(t_ns)
@@ -115,10 +124,11 @@ class Simulator:
         clock = ReceiverClock.of(scenario.receiver.clock).sample(scenario.t_ns, rng("clock"))
         at, pos_e, vel_e = self._at_tags
         b = clock.bias_s[:, None]
-        if np.abs(b).max() > _TAYLOR_S:
-            at, pos_e, vel_e = self._antenna(scenario.t_ns - np.rint(clock.bias_s * NS).astype(np.int64))
-        else:
-            pos_e, vel_e = pos_e - b * (vel_e - 0.5 * b * at.acc_e), vel_e - b * at.acc_e
+        pos_e, vel_e = pos_e - b * (vel_e - 0.5 * b * at.acc_e), vel_e - b * at.acc_e
+        direct = np.flatnonzero((np.abs(clock.bias_s) > _TAYLOR_S) | (np.abs(clock.bias_s) >= self._to_knot_s))
+        if len(direct):
+            received = scenario.t_ns[direct] - np.rint(clock.bias_s[direct] * NS).astype(np.int64)
+            _, pos_e[direct], vel_e[direct] = self._antenna(received)
         return Motion(
             t_ns=scenario.t_ns,
             clock_s=clock.bias_s,

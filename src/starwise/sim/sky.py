@@ -543,7 +543,9 @@ def _records(rows: list[_Row], ionosphere: IonosphereModel, leap_s: int) -> Broa
     tgd = np.stack([r.satellite.tgd for r in rows])
     keep = np.array([r.message == MSG_FNAV for r in rows])
     tgd[keep, TGD_SECOND] = np.nan
-    iode = np.where(system == SYS_R, -1, np.where(system == SYS_C, 1, number % 240))
+    moscow = np.array([int(gpst_to_utc(int(t))) + GLONASST_UTC_S * NS for t in toe])
+    t_b = moscow % (DAY_S * NS) // (900 * NS)  # GLONASS ICD L1/L2 5.1, 4.4
+    iode = np.where(system == SYS_R, t_b, np.where(system == SYS_C, 1, number % 240))
     return BroadcastRecords(
         sv=np.array([r.satellite.sv for r in rows], dtype=np.int16),
         message=np.array([r.message for r in rows], dtype=np.int8),
