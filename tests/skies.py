@@ -28,9 +28,7 @@ def options(**changes: object) -> ModelOptions:
     return base._replace(**changes)
 
 
-def satellites(
-    azimuth_deg: np.ndarray, elevation_deg: np.ndarray, receiver: np.ndarray = RECEIVER
-) -> np.ndarray:
+def satellites(azimuth_deg: np.ndarray, elevation_deg: np.ndarray, receiver: np.ndarray = RECEIVER) -> np.ndarray:
     """ECEF positions (n, 3) at 26 560 km from the Earth's centre in given directions."""
     lat, lon, _ = geodetic_from_ecef(receiver)
     az, el = np.radians(azimuth_deg), np.radians(elevation_deg)

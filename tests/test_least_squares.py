@@ -11,7 +11,14 @@ from starwise.kernels.rangemodel import geodetic, range_los
 from starwise.kernels.spp import SppOptions, spp_run
 from starwise.models.pseudorange import empty_row_model
 
-SPP = SppOptions(fde=True, chi2=chi_square_table(1e-3), max_gdop=30.0, max_excluded=0.4, tie_sigma_m=0.05)
+SPP = SppOptions(
+    fde=True,
+    chi2=chi_square_table(1e-3),
+    max_gdop=30.0,
+    max_sigma_m=25.0,
+    max_excluded=0.4,
+    tie_sigma_m=0.05,
+)
 
 
 def solve(epochs, rows, spp=SPP, model=None):

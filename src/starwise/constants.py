@@ -24,7 +24,7 @@ MU_GAL: Final = 3.986004418e14
 MU_BDS: Final = 3.986004418e14
 """Gravitational constant, m^3/s^2 (BDS-SIS-ICD-B1I-3.0 section 3.2)."""
 MU_GLO: Final = 3.986004418e14
-"""Gravitational constant, m^3/s^2 (PZ-90.11, GLONASS ICD CDMA general description 2016 table; L1/L2 ICD 5.1 has ...44e14)."""
+"""Gravitational constant, m^3/s^2 (PZ-90.11, GLONASS ICD CDMA general description 2016; L1/L2 ICD 5.1 has ...44e14)."""
 J2_GLO: Final = 1.0826257e-3
 """Second zonal harmonic (GLONASS ICD L1/L2 5.1, A.3.1.2)."""
 AE_GLO: Final = 6_378_136.0

@@ -22,10 +22,12 @@ def sv_id(name: str) -> int:
         Not a satellite name.
     """
     text = name.strip().upper()
-    if text.isdigit():
+    if text.isascii() and text.isdigit():
         text = "G" + text
     system, number = text[:1], text[1:].strip()
-    if system not in SYSTEMS or not system or not number.isdigit() or not 0 < int(number) < 256:
+    # isascii: '²' is a digit for Python, and bytes of a damaged file come here
+    digits = number.isascii() and number.isdigit() and len(number) <= 3
+    if system not in SYSTEMS or not system or not digits or not 0 < int(number) < 256:
         raise StarwiseError("not a satellite", found=name, wanted=f"a letter of {SYSTEMS} and a number")
     return SYSTEMS.index(system) << 8 | int(number)
 
@@ -37,7 +39,7 @@ def sv_name(sv: int) -> str:
 
 def signal_id(name: str) -> int:
     """Identifier of a signal named by band and attribute (``1C``)."""
-    if len(name) != 2 or not name[0].isdigit() or not name[1].isalpha():
+    if len(name) != 2 or not name.isascii() or not name[0].isdigit() or not name[1].isalpha():
         raise StarwiseError("not a signal", found=name, wanted="band and attribute as in RINEX, like 1C")
     return int(name[0]) << 8 | ord(name[1])
 

@@ -1,1 +1,1 @@
-"""estimators"""
+"""Least squares and Kalman filters, and whole runs with them."""

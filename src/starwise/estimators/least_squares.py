@@ -43,6 +43,7 @@ def spp_options(config: RunConfig) -> SppOptions:
         fde=config.fde,
         chi2=chi_square_table(1e-3),
         max_gdop=30.0,
+        max_sigma_m=25.0,
         max_excluded=0.4,
         # Receiver hardware delays between systems drift by centimetres over minutes: 0.05 m after 1 s, 3 m after 1 h.
         tie_sigma_m=0.05,

@@ -88,7 +88,8 @@ def make_ledger(obs: Observations, prepared: Prepared, out: RowModel) -> dict[st
 
     The row of the chosen signal carries the terms of the model; for it
 
-        code = geometric + sagnac + receiver_clock - satellite_clock + group_delay + troposphere + ionosphere + innovation
+        code = geometric + sagnac + receiver_clock - satellite_clock + group_delay
+               + troposphere + ionosphere + innovation
 
     to rounding, all in metres (for least squares the innovation is the residual; for filters the receiver clock is the
     predicted one). A group delay that is not broadcast is NaN and counts as 0. Rows of signals that were not chosen

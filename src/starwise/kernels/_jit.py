@@ -8,9 +8,9 @@ import sys
 import tempfile
 import types
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 
@@ -77,7 +77,7 @@ def _writable(path: Path) -> bool:
         return False
 
 
-@lru_cache(maxsize=1)
+@cache
 def cache_root() -> Path:
     """Directory of compiled kernels: ``$STARWISE_CACHE_DIR``, or the user's cache, or a temporary one.
 
@@ -100,7 +100,7 @@ def cache_root() -> Path:
     return Path(tempfile.mkdtemp(prefix="starwise-"))
 
 
-@lru_cache(maxsize=None)
+@cache
 def _cache_dir(module: str) -> str:
     return str(cache_root() / f"{module}-{_sources_hash(module)}")
 
@@ -111,10 +111,11 @@ def njit(function: F) -> F:
     numba reads its cache setting when a function is decorated, so it is set for that moment only: other users of
     numba in the same process are not affected.
     """
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = _cache_dir(function.__module__.rpartition(".")[2])
+    config: Any = numba.config  # its attributes are made at run time
+    before = config.CACHE_DIR
+    config.CACHE_DIR = _cache_dir(function.__module__.rpartition(".")[2])
     try:
-        compiled: F = numba.njit(cache=True, error_model="numpy", fastmath=FLAGS)(function)
+        compiled: Any = numba.njit(cache=True, error_model="numpy", fastmath=FLAGS)(function)
     finally:
-        numba.config.CACHE_DIR = before
-    return compiled
+        config.CACHE_DIR = before
+    return cast(F, compiled)

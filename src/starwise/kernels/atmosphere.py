@@ -191,6 +191,37 @@ def _marini(sin_el: float, a: float, b: float, c: float) -> float:
 
 
 @njit
+def niell_coefficients(lat: float, doy: float) -> tuple[float, float, float, float, float, float]:
+    """Coefficients a b c, hydrostatic then wet, of Niell's functions for a latitude (rad) and a day of year."""
+    phase = (doy - 28.0) / 365.25 + (0.5 if lat < 0.0 else 0.0)
+    season = math.cos(2.0 * math.pi * phase)
+    x = min(max(abs(lat) * (180.0 / math.pi) / 15.0 - 1.0, 0.0), 4.0)
+    i = min(int(x), 3) if x == x else 0
+    w = x - i
+    nan = 0.0 * lat
+    ah = (1.0 - w) * (_NMF[0, i] - season * _NMF[3, i]) + w * (_NMF[0, i + 1] - season * _NMF[3, i + 1])
+    bh = (1.0 - w) * (_NMF[1, i] - season * _NMF[4, i]) + w * (_NMF[1, i + 1] - season * _NMF[4, i + 1])
+    ch = (1.0 - w) * (_NMF[2, i] - season * _NMF[5, i]) + w * (_NMF[2, i + 1] - season * _NMF[5, i + 1])
+    aw = (1.0 - w) * _NMF[6, i] + w * _NMF[6, i + 1]
+    bw = (1.0 - w) * _NMF[7, i] + w * _NMF[7, i + 1]
+    cw = (1.0 - w) * _NMF[8, i] + w * _NMF[8, i + 1]
+    return ah + nan, bh, ch, aw + nan, bw, cw
+
+
+@njit
+def niell_mapping(
+    coefficients: tuple[float, float, float, float, float, float], h: float, el: float
+) -> tuple[float, float]:
+    """Hydrostatic and wet mapping function out of `niell_coefficients` at a height (m) and elevation (rad)."""
+    ah, bh, ch, aw, bw, cw = coefficients
+    sin_el = math.sin(max(el, 0.0)) + 0.0 * el
+    # height correction (eq. 6): valid for real heights; at the horizon it is bounded by sin(el) >= 1 deg
+    km = min(max(h, -1000.0), 44300.0) / 1000.0 + 0.0 * h
+    dm = 1.0 / max(sin_el, 0.0175) - _marini(sin_el, _NMF_HEIGHT[0], _NMF_HEIGHT[1], _NMF_HEIGHT[2])
+    return _marini(sin_el, ah, bh, ch) + dm * km, _marini(sin_el, aw, bw, cw)
+
+
+@njit
 def niell(lat: float, h: float, el: float, doy: float) -> tuple[float, float]:
     """Hydrostatic and wet mapping function (slant / zenith) of Niell's model. Fit for el > 3 deg.
 
@@ -208,23 +239,7 @@ def niell(lat: float, h: float, el: float, doy: float) -> tuple[float, float]:
     A. E. Niell, "Global mapping functions for the atmosphere delay at radio wavelengths", JGR 101 B2 (1996),
     eq. 4-6, tables 3 and 4.
     """
-    sin_el = math.sin(max(el, 0.0))
-    phase = (doy - 28.0) / 365.25 + (0.5 if lat < 0.0 else 0.0)
-    season = math.cos(2.0 * math.pi * phase)
-    x = min(max(abs(lat) * (180.0 / math.pi) / 15.0 - 1.0, 0.0), 4.0)
-    i = min(int(x), 3) if x == x else 0
-    w = x - i
-    ah = (1.0 - w) * (_NMF[0, i] - season * _NMF[3, i]) + w * (_NMF[0, i + 1] - season * _NMF[3, i + 1])
-    bh = (1.0 - w) * (_NMF[1, i] - season * _NMF[4, i]) + w * (_NMF[1, i + 1] - season * _NMF[4, i + 1])
-    ch = (1.0 - w) * (_NMF[2, i] - season * _NMF[5, i]) + w * (_NMF[2, i + 1] - season * _NMF[5, i + 1])
-    aw = (1.0 - w) * _NMF[6, i] + w * _NMF[6, i + 1]
-    bw = (1.0 - w) * _NMF[7, i] + w * _NMF[7, i + 1]
-    cw = (1.0 - w) * _NMF[8, i] + w * _NMF[8, i + 1]
-    # height correction (eq. 6): valid for real heights; at the horizon it is bounded by sin(el) >= 1 deg
-    km = min(max(h, -1000.0), 44300.0) / 1000.0 + 0.0 * h
-    dm = 1.0 / max(sin_el, 0.0175) - _marini(sin_el, _NMF_HEIGHT[0], _NMF_HEIGHT[1], _NMF_HEIGHT[2])
-    nan = 0.0 * (lat + el)
-    return _marini(sin_el, ah, bh, ch) + dm * km + nan, _marini(sin_el, aw, bw, cw) + nan
+    return niell_mapping(niell_coefficients(lat, doy), h, el)
 
 
 @njit

@@ -24,7 +24,14 @@ from starwise.constants import (
     WGS84_F,
 )
 from starwise.kernels._jit import njit
-from starwise.kernels.atmosphere import klobuchar, klobuchar_bds, saastamoinen, troposphere
+from starwise.kernels.atmosphere import (
+    klobuchar,
+    klobuchar_bds,
+    niell_coefficients,
+    niell_mapping,
+    saastamoinen,
+    zenith_delays_mops,
+)
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -120,7 +127,7 @@ def range_rate(
     ux: float, uy: float, uz: float, sat_pos: F8, sat_vel: F8, i: int,
 ) -> float:  # fmt: skip
     """Range rate, m/s, of row i, the Sagnac rate included (Groves 9.162)."""
-    rate = ux * (sat_vel[i, 0] - vx) + uy * (sat_vel[i, 1] - vy) + uz * (sat_vel[i, 2] - vz)
+    rate: float = ux * (sat_vel[i, 0] - vx) + uy * (sat_vel[i, 1] - vy) + uz * (sat_vel[i, 2] - vz)
     return rate + OMEGA_E_GPS / C_LIGHT * (
         sat_vel[i, 0] * py + sat_pos[i, 0] * vy - sat_vel[i, 1] * px - sat_pos[i, 1] * vx
     )
@@ -160,9 +167,9 @@ def ionosphere_delay(
     """Slant ionosphere delay of a code on ``freq_hz``, m, by the broadcast model chosen for the system."""
     model = options.iono_model[system]
     if model == IONO_GPS:
-        return klobuchar(options.iono_coef[system], lat, lon, az, el, tow) * (F_L1 / freq_hz) ** 2
+        return float(klobuchar(options.iono_coef[system], lat, lon, az, el, tow) * (F_L1 / freq_hz) ** 2)
     if model == IONO_BDS:
-        return klobuchar_bds(options.iono_coef[system], lat, lon, az, el, tow) * (F_B1I / freq_hz) ** 2
+        return float(klobuchar_bds(options.iono_coef[system], lat, lon, az, el, tow) * (F_B1I / freq_hz) ** 2)
     return 0.0
 
 
@@ -236,6 +243,9 @@ def epoch_corrections(
     seconds = t_ns // 1_000_000_000
     tow = float(seconds % 604_800)
     doy = (seconds // 86_400 + 5.0) % 365.25 + 1.0  # 1980-01-06 is day 6; to a day, for the seasonal term
+    # Of the place and the day only, not of the satellite: once per epoch (`atmosphere.troposphere` says it in one).
+    zhd, zwd = zenith_delays_mops(lat, h, doy)
+    mapping = niell_coefficients(lat, doy)
     usable = 0
     for i in range(start, end):
         out.status[i] = rows.status[i]
@@ -258,11 +268,14 @@ def epoch_corrections(
         if az < 0.0:
             az += 2.0 * math.pi
         out.elevation[i], out.azimuth[i] = el, az
+        if el < options.mask_rad:
+            out.status[i] = ROW_LOW_ELEVATION
+            continue
         tropo, iono = 0.0, 0.0
         if el > 0.0:
             if options.troposphere == TROPO_SEASONAL:
-                dry, wet = troposphere(lat, h, el, doy)
-                tropo = dry + wet
+                dry, wet = niell_mapping(mapping, h, el)
+                tropo = zhd * dry + zwd * wet
             elif options.troposphere == TROPO_SAASTAMOINEN:
                 tropo = saastamoinen(lat, h, el)
             if rows.freq_hz[i] < 1e12:
@@ -272,9 +285,7 @@ def epoch_corrections(
             options, rows.system[i], el, rows.cn0_dbhz[i], rows.sigma_sat_m[i], rows.noise_factor[i],
             iono, rows.freq_hz[i],
         )  # fmt: skip
-        if el < options.mask_rad:
-            out.status[i] = ROW_LOW_ELEVATION
-        elif rows.cn0_dbhz[i] < options.cn0_min_dbhz:
+        if rows.cn0_dbhz[i] < options.cn0_min_dbhz:
             out.status[i] = ROW_LOW_CN0
         else:
             usable += 1

@@ -55,11 +55,11 @@ def _rate(i: int, start: int, end: int, sv: I2, sig: I2, doppler: F8, frequency:
     """Pseudorange rate, m/s: from the row's own Doppler, else from any other signal of the satellite."""
     system, number = sv[i] >> 8, sv[i] & 255
     if doppler[i] == doppler[i]:
-        return -C_LIGHT / frequency[system, number, sig[i] >> 8] * doppler[i]
+        return float(-C_LIGHT / frequency[system, number, sig[i] >> 8] * doppler[i])
     for k in range(start, end):
         f = frequency[system, number, sig[k] >> 8]
         if doppler[k] == doppler[k] and f == f:
-            return -C_LIGHT / f * doppler[k]
+            return float(-C_LIGHT / f * doppler[k])
     return np.nan
 
 
@@ -106,7 +106,7 @@ def select_signals(
                     row_status[r] = ROW_SYSTEM_OFF
                 elif excluded[system, number] != 0:
                     row_status[r] = ROW_EXCLUDED_BY_USER
-                elif not code[r] == code[r]:
+                elif code[r] != code[r]:
                     row_status[r] = ROW_NO_CODE
                 elif not CODE_MIN_M < code[r] < CODE_MAX_M:
                     row_status[r] = ROW_BAD_CODE
@@ -119,9 +119,7 @@ def select_signals(
                     any_code = True
             if not any_code:
                 s_status[k] = (
-                    row_status[start]
-                    if row_status[start] in (ROW_SYSTEM_OFF, ROW_EXCLUDED_BY_USER)
-                    else fault
+                    row_status[start] if row_status[start] in (ROW_SYSTEM_OFF, ROW_EXCLUDED_BY_USER) else fault
                 )
                 continue
             first = _best(start, i, sv, sig, rank, row_status)

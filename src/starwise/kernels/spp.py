@@ -40,6 +40,7 @@ class SppOptions(NamedTuple):
     fde: bool  # fault detection and exclusion
     chi2: F8  # (k,) threshold of the residual test by degrees of freedom; the last serves all above
     max_gdop: float  # a geometry worse than this is flagged
+    max_sigma_m: float  # a position more uncertain than this (3D, 1 sigma) is flagged
     max_excluded: float  # fraction of satellites; more exclusions than that flag the epoch
     tie_sigma_m: float  # growth of a held inter-system offset, m per sqrt(s); <= 0: never hold
 
@@ -115,9 +116,7 @@ def _normal_equations(
         )
         out.geometric[i], out.sagnac[i] = rho, sagnac
         clk = rows.clock[i]
-        v = rows.code_m[i] - (
-            rho + sagnac + x[3 + clk] - rows.clock_m[i] + out.troposphere[i] + out.ionosphere[i]
-        )
+        v = rows.code_m[i] - (rho + sagnac + x[3 + clk] - rows.clock_m[i] + out.troposphere[i] + out.ionosphere[i])
         out.v_code[i] = v
         w = 1.0 / out.code_var[i]
         c = column[clk]
@@ -155,17 +154,13 @@ def _normal_equations(
 
 
 @njit
-def _worst_row(
-    rows: Rows, start: int, end: int, x: F8, column: NDArray[np.int64], Q: F8, m: int, out: RowModel
-) -> int:
+def _worst_row(rows: Rows, start: int, end: int, x: F8, column: NDArray[np.int64], Q: F8, m: int, out: RowModel) -> int:
     """Row with the largest normalised residual (Baarda's w-test), -1 if none is redundant; writes ``s_code``."""
     worst, worst_w = -1, 0.0
     for i in range(start, end):
         if out.status[i] != ROW_USED:
             continue
-        _, _, ux, uy, uz = range_los(
-            x[0], x[1], x[2], rows.sat_pos[i, 0], rows.sat_pos[i, 1], rows.sat_pos[i, 2]
-        )
+        _, _, ux, uy, uz = range_los(x[0], x[1], x[2], rows.sat_pos[i, 0], rows.sat_pos[i, 1], rows.sat_pos[i, 2])
         c = column[rows.clock[i]]
         hqh = (
             ux * (Q[0, 0] * ux + 2.0 * (Q[0, 1] * uy + Q[0, 2] * uz - Q[0, c]))
@@ -214,9 +209,7 @@ def spp_velocity(
             for i in range(start, end):
                 if out.rate_used[i] == 0:
                     continue
-                _, _, ux, uy, uz = range_los(
-                    px, py, pz, rows.sat_pos[i, 0], rows.sat_pos[i, 1], rows.sat_pos[i, 2]
-                )
+                _, _, ux, uy, uz = range_los(px, py, pz, rows.sat_pos[i, 0], rows.sat_pos[i, 1], rows.sat_pos[i, 2])
                 model = range_rate(px, py, vel[0], vel[1], vel[2], ux, uy, uz, rows.sat_pos, rows.sat_vel, i)
                 v = rows.rate_mps[i] - (model + vel[3] - rows.drift_mps[i])
                 out.v_rate[i] = v
@@ -390,9 +383,7 @@ def spp_epoch(
 
 
 @njit
-def spp_run(
-    model: ModelOptions, options: SppOptions, epochs: Epochs, rows: Rows, ep: EpochOut, out: RowModel
-) -> None:
+def spp_run(model: ModelOptions, options: SppOptions, epochs: Epochs, rows: Rows, ep: EpochOut, out: RowModel) -> None:
     """Least squares for all epochs of a run; each starts from the epoch before only to save iterations.
 
     Inter-system clock offsets are remembered and serve as observations in epochs that have too few satellites to
@@ -446,6 +437,8 @@ def spp_run(
             continue
         dops(out, start, end, ep.dop[e])
         if not ep.dop[e, 0] <= options.max_gdop:
+            ep.status[e] = EPOCH_SUSPECT
+        if not P[0, 0] + P[1, 1] + P[2, 2] <= options.max_sigma_m**2:
             ep.status[e] = EPOCH_SUSPECT
         ep.pos[e] = x[:3]
         ep.cov_pos[e] = P[:3, :3]

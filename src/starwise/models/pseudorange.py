@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,6 @@ from starwise.constants import (
     SYS_C,
     SYS_J,
     SYS_R,
-    SYS_S,
     SYSTEMS,
 )
 from starwise.errors import StarwiseError
@@ -64,8 +64,9 @@ EPHEMERIS_SIGMA_M = np.array([0.8, 2.5, 0.4, 1.2, 1.0, 2.0, 4.0])
 G R E C J I S (Montenbruck, Steigenberger, Hauschild, "Multi-GNSS signal-in-space range error assessment", Adv. Space
 Res. 61, 2018, and their later tables; geostationary and old satellites counted in)."""
 EPHEMERIS_BEST_CLAIM_M = np.array([2.5, 4.0, 3.2, 2.5, 2.5, 2.5, 4.0])
-"""Claims up to here, m, are the best index that a system broadcasts (URA 0: 2.4 m, IS-GPS-200N 20.3.3.3.1.3; SISA 3.12 m,
-the only value that Galileo uses): bounds for integrity, far above the real error. Larger claims are believed."""
+"""Claims up to here, m, are the best index that a system broadcasts (URA 0: 2.4 m, IS-GPS-200N 20.3.3.3.1.3;
+SISA 3.12 m, the only value that Galileo uses): bounds for integrity, far above the real error.
+Larger claims are believed."""
 CODE_SIGMA_M = {SYS_R: 0.8}
 """Code noise and multipath at the zenith and 45 dB-Hz, m; 0.4 m elsewhere. GLONASS chips are twice as long as those of
 GPS C/A (0.511 against 1.023 Mchip/s)."""
@@ -153,7 +154,7 @@ def _scatter(found: SatStates, use: NDArray[np.intp], n: int) -> SatStates:
     if len(use) == n:
         return found
 
-    def spread(values: NDArray[np.generic], fill: float) -> NDArray[np.generic]:
+    def spread(values: NDArray[Any], fill: float) -> NDArray[Any]:
         out = np.full((n, *values.shape[1:]), fill, dtype=values.dtype)
         out[use] = values
         return out
@@ -169,7 +170,7 @@ def _scatter(found: SatStates, use: NDArray[np.intp], n: int) -> SatStates:
         age_s=spread(found.age_s, np.nan),
         status=spread(found.status, SAT_NO_EPHEMERIS),
         record=spread(found.record, -1),
-    )  # type: ignore[arg-type]
+    )
 
 
 def _ephemeris_sigma(claim_m: F8, system: NDArray[np.int16]) -> F8:
@@ -229,5 +230,8 @@ def model_options(config: RunConfig, ionosphere: IonosphereModel) -> tuple[Model
 
 def empty_row_model(n: int) -> RowModel:
     """Outputs for ``n`` rows, NaN."""
-    floats = [np.full(n, np.nan) for _ in range(12)]
-    return RowModel(*floats, status=np.zeros(n, dtype=np.uint8), rate_used=np.zeros(n, dtype=np.uint8))
+    columns: dict[str, Any] = {
+        name: np.zeros(n, dtype=np.uint8) if name in ("status", "rate_used") else np.full(n, np.nan)
+        for name in RowModel._fields
+    }
+    return RowModel(**columns)

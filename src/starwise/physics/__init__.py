@@ -1,1 +1,1 @@
-"""physics"""
+"""Where satellites are and what the atmosphere does to their signals."""

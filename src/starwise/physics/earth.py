@@ -98,7 +98,7 @@ def gravity_e(pos_e: ArrayLike) -> F8:
 
 
 def _q_functions(ratio2: F8, ratio: F8) -> tuple[F8, F8]:
-    """Functions q and q' of Heiskanen & Moritz (2-58), (2-67) for E/u: series free of the closed forms' cancellation."""
+    """Functions q and q' of Heiskanen & Moritz (2-58), (2-67) for E/u: series, free of the closed forms' loss."""
     q, q_prime = np.zeros_like(ratio), np.zeros_like(ratio)
     power = np.ones_like(ratio)
     for n, a in enumerate(_SERIES, 1):
