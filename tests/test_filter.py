@@ -19,6 +19,8 @@ from starwise.constants import (
 )
 from starwise.estimators.filter import filter_rows
 from starwise.frames import C_ne_enu, geodetic_from_ecef
+from starwise.kernels.filter_epoch import linearise
+from starwise.models.pseudorange import empty_row_model
 
 METHODS = ["ekf", "s3ekf"]
 TWO_SYSTEMS = np.array([0] * 7 + [3] * 7)
@@ -338,3 +340,43 @@ def test_motion_under_a_static_model_is_flagged():
     wrong = error(ep, truth) > 20.0  # m
     assert np.isin(ep.status[wrong], [EPOCH_SUSPECT]).all()
     assert (ep.status[1:] != EPOCH_OK).all(), "the rates say at once that the receiver moves"
+
+
+def test_lost_where_least_squares_cannot_help_recovers_by_doubt():
+    """Four satellites: nothing checks a least-squares start, so the filter's own doubt has to grow."""
+    epochs, rows, truth = sky(4, 40, code_sigma=1.0, rate_sigma=RATE)
+    x0 = np.zeros(11)
+    x0[:3] = RECEIVER + 300.0
+    x0[9] = 1e4
+    ep, _ = both(epochs, rows, dynamics="vehicle", start=(x0, np.eye(11)))
+    wrong = error(ep, truth) > 100.0
+    assert (ep.status[wrong] == EPOCH_SUSPECT).all()
+    assert not wrong[30:].any()
+    assert (ep.status[30:] == EPOCH_OK).all()
+
+
+@pytest.mark.laws
+@pytest.mark.parametrize("moving", [True, False])
+def test_jacobian_is_the_central_difference(moving):
+    _, rows, _ = sky(6, 1, systems=np.array([0, 0, 0, 3, 3, 3]))
+    out = empty_row_model(6)
+    for term in (out.troposphere, out.ionosphere):
+        term[:] = 2.0
+    n = 13 if moving else 7
+    nk = n - 4
+    x = np.concatenate([RECEIVER, CAR, [0.1, 0.2, 0.3]])[:nk]
+    x = np.concatenate([x, [1e4, 2e4, 30.0, 31.0]])
+    for i in range(6):
+        c, d = nk + rows.clock[i], nk + 2 + rows.clock[i]
+        _, _, ux, uy, uz, gx, gy, gz = linearise(rows, out, i, x, moving, c, d)
+        H = np.zeros((2, n))
+        H[0, :3], H[0, c], H[1, :3], H[1, d] = (-ux, -uy, -uz), 1.0, (gx, gy, gz), 1.0
+        if moving:
+            H[1, 3:6] = (-ux, -uy, -uz)
+        for j in range(n):
+            h = np.zeros(n)
+            h[j] = 10.0
+            up, down = linearise(rows, out, i, x + h, moving, c, d), linearise(rows, out, i, x - h, moving, c, d)
+            numeric = (np.array(down[:2]) - up[:2]) / 20.0
+            # Rounding of a range of 2.5e7 m over 20 m: 2e-10; of a rate of 4e3 m/s: 5e-14; curvature is below both.
+            assert (np.abs(H[:, j] - numeric) < [1e-9, 1e-12]).all()

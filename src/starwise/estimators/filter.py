@@ -4,7 +4,8 @@ import numpy as np
 
 from starwise.config import RunConfig
 from starwise.estimators.least_squares import chi_square_table, empty_epochs, spp_options
-from starwise.kernels.filter_run import FilterOptions, filter_run
+from starwise.kernels.filter_run import filter_run
+from starwise.kernels.filter_state import FilterOptions
 from starwise.kernels.rangemodel import Epochs, ModelOptions, RowModel, Rows
 from starwise.kernels.spp import EpochOut
 from starwise.models.process import Clocks, Motion, clocks_from, motion_from, process_numbers
