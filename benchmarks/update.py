@@ -13,14 +13,16 @@ import argparse
 import json
 import time
 
+import numba
 import numpy as np
 
-from starwise.kernels._jit import njit
+from starwise.kernels._jit import FLAGS
 from starwise.kernels.update import USED_BOTH, update_batch, update_sequential
 
 SATELLITES = (4, 5, 6, 8, 10, 15, 20, 30, 45, 60)
 WANTED = {8: 0.60, 15: 0.40, 30: 0.25, 60: 0.15}
 N = 13
+njit = numba.njit(error_model="numpy", fastmath=FLAGS)  # as the kernels are compiled
 
 
 @njit
