@@ -360,7 +360,7 @@ def _observations(
         doppler_hz=doppler,
         cn0_dbhz=rows.cn0_dbhz,
         lli=rows.lli if receiver.phase else np.zeros(n, dtype=np.uint8),
-        channels={k: v for k, v in sky.channels.items() if k in set(sv.tolist())},
+        channels={one: sky.channels[one] for one in np.unique(sv).tolist() if one in sky.channels},
         header=header,
     )
 
