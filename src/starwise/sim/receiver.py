@@ -67,7 +67,13 @@ class Motion:
 
 
 def receive(
-    receiver: Receiver, faults: Sequence[Fault], sky: TrueSky, motion: Motion, streams: Streams, marker: str = "SIMU"
+    receiver: Receiver,
+    faults: Sequence[Fault],
+    sky: TrueSky,
+    motion: Motion,
+    streams: Streams,
+    marker: str = "SIMU",
+    seen: NDArray[np.bool_] | None = None,
 ) -> tuple[Observations, SimTruth]:
     """Observations of a run, and the truth behind them.
 
@@ -82,6 +88,8 @@ def receive(
     streams : Streams
     marker : str
         Name of the station in the header.
+    seen : (n_epochs, n_satellites) bool, optional
+        From `in_view`, where many runs share it.
 
     Raises
     ------
@@ -91,7 +99,13 @@ def receive(
     since = (motion.t_ns - motion.t_ns[0]) / NS
     jumps = clock_jumps_s(faults, since)
     clock = motion.clock_s + jumps
-    epoch, index = _received(receiver, faults, sky, motion, since)
+    if seen is None:
+        seen = in_view(receiver, sky, motion.t_ns, motion.pos_e)
+    epoch, index = (axis.astype(np.int64) for axis in np.nonzero(seen))
+    kept = ~outages(faults, since[epoch], sky.sv[index])
+    if not kept.any():
+        raise StarwiseError("no satellite is received at any time: an outage covers them all")
+    epoch, index = epoch[kept], index[kept]
     sv = sky.sv[index]
     geometry = _empty_paths(len(index))
     paths(sky.table, index, epoch, motion.t_ns, clock, motion.drift, motion.pos_e, motion.vel_e, geometry)
@@ -121,30 +135,30 @@ def receive(
 
 
 # -- which satellites -----------------------------------------------------------------------------------------------
-def _received(receiver: Receiver, faults: Sequence[Fault], sky: TrueSky, motion: Motion, since: F8) -> tuple[I8, I8]:
-    """Epoch and satellite (index in the sky) of every light path, by epoch and satellite."""
-    n, m = len(motion.t_ns), len(sky.sv)
+def in_view(receiver: Receiver, sky: TrueSky, t_ns: I8, pos_e: F8) -> NDArray[np.bool_]:
+    """Satellites above the masks that send a signal asked for, (n_epochs, n_satellites).
+
+    Raises
+    ------
+    StarwiseError
+        There is none at any time.
+    """
+    n, m = len(t_ns), len(sky.sv)
     elevation, azimuth = np.empty((n, m)), np.empty((n, m))
-    directions(sky.table, motion.t_ns, motion.pos_e, elevation, azimuth)
+    directions(sky.table, t_ns, pos_e, elevation, azimuth)
     seen = elevation >= math.radians(receiver.mask_deg)
-    around = np.degrees(azimuth) % 360.0
     for start, end, mask in receiver.azimuth_masks_deg:
         width = (end - start) % 360.0 if end != start else 360.0
-        inside = (around - start) % 360.0 <= width
+        inside = (np.degrees(azimuth) - start) % 360.0 <= width
         seen &= ~(inside & (elevation < math.radians(mask)))
-    wanted = np.array([len(_signals(receiver, int(s))) > 0 for s in sky.sv])
-    seen &= wanted[None, :]
+    seen &= np.array([len(_signals(receiver, int(s))) > 0 for s in sky.sv])[None, :]
     if not seen.any():
         raise StarwiseError(
             "no satellite is visible at any time",
             found=f"{m} in the sky, highest at {np.degrees(elevation.max()):.1f} deg",
             wanted="a mask, a place and signals that let one be received",
         )
-    epoch, index = np.nonzero(seen)
-    keep = ~outages(faults, since[epoch], sky.sv[index])
-    if not keep.any():
-        raise StarwiseError("no satellite is received at any time: an outage covers them all")
-    return epoch[keep].astype(np.int64), index[keep].astype(np.int64)
+    return np.asarray(seen)
 
 
 def _signals(receiver: Receiver, sv: int) -> tuple[str, ...]:

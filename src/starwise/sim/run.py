@@ -5,13 +5,14 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from starwise.constants import NS
 from starwise.errors import StarwiseError
 from starwise.sim.clock import ReceiverClock
 from starwise.sim.imu import SimulatedImu, simulate_imu
 from starwise.sim.orbits import read_tle
-from starwise.sim.receiver import Motion, receive
+from starwise.sim.receiver import Motion, in_view, receive
 from starwise.sim.scenario import Scenario
 from starwise.sim.seeds import Streams, streams
 from starwise.sim.sky import TrueSky, build_sky
@@ -90,7 +91,7 @@ class Simulator:
         rng = streams(self.seed, number)
         sky = self.sky.with_error(scenario.receiver.ephemeris, rng)
         observations, truth = receive(
-            scenario.receiver, scenario.faults, sky, self._motion(rng), rng, scenario.output.marker
+            scenario.receiver, scenario.faults, sky, self._motion(rng), rng, scenario.output.marker, self._in_view
         )
         imu = None
         if scenario.imu is not None:
@@ -102,6 +103,11 @@ class Simulator:
     @cached_property
     def _at_tags(self) -> tuple[TrajectoryStates, F8, F8]:
         return self._antenna(self.scenario.t_ns)
+
+    @cached_property
+    def _in_view(self) -> NDArray[np.bool_]:
+        """Satellites above the masks; neither clock nor ephemeris error moves them by 1e-6 rad."""
+        return in_view(self.scenario.receiver, self.sky, self.scenario.t_ns, self._at_tags[1])
 
     @cached_property
     def _to_knot_s(self) -> F8:
