@@ -119,6 +119,7 @@ def filter_run(
     x2, P2 = np.zeros(size), np.zeros((size, size))
     F, G, M = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
     running, nc, failed, t_last, dt_known = False, 0, 0, 0, -1.0
+    checked = True  # the position has been confirmed by more satellites than it takes to make one
     if x0[0] == x0[0]:
         running, nc, t_last = True, n_all, epochs.t_ns[0]
         for i in range(size):
@@ -148,6 +149,7 @@ def filter_run(
             )
             if started > 0:
                 nc, running, failed = started, True, 0
+                checked = ep.status[e] != EPOCH_SUSPECT
                 continue
             if not running:
                 ep.status[e] = EPOCH_NO_SOLUTION
@@ -179,4 +181,6 @@ def filter_run(
             ep.status[e] = EPOCH_SUSPECT
         else:
             failed = 0
-            ep.status[e] = EPOCH_OK
+            # A start that nothing checked stays a guess, however well the same satellites agree with it later.
+            checked = checked or n_used > 3 + nc
+            ep.status[e] = EPOCH_OK if checked else EPOCH_SUSPECT
