@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import pyrtklib as prl
-from datasets import DATA, STATIC, DataSet, plain, scratch
 
+from datasets import STATIC, DataSet, plain, scratch
 from starwise.config import RunConfig
 from starwise.estimators.run import solve_run
 from starwise.io.rinex_nav import read_nav

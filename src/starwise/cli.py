@@ -199,7 +199,6 @@ def info(
 ) -> None:
     """What is in a file, in one screen."""
     from starwise import api
-
     from starwise.report.text import info_text
 
     described: dict[str, Any] = {}

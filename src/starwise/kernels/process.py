@@ -191,14 +191,14 @@ def predict(x: F8, P: F8, nk: int, nc: int, dt: float, process: Process, F: F8, 
                     P[3 * a + i, 3 * b + j] += G[a, b] * M[i, j]
     for k in range(nc):
         for m in range(nc):
-            b, d = process.bias_psd, process.drift_psd
+            s_b, s_d = process.bias_psd, process.drift_psd
             if k == m:
-                b += process.system_bias_psd
-                d += process.system_drift_psd
-            P[nk + k, nk + m] += b * dt + d * dt**3 / 3.0
-            P[nk + k, nk + nc + m] += d * dt * dt / 2.0
-            P[nk + nc + k, nk + m] += d * dt * dt / 2.0
-            P[nk + nc + k, nk + nc + m] += d * dt
+                s_b += process.system_bias_psd
+                s_d += process.system_drift_psd
+            P[nk + k, nk + m] += s_b * dt + s_d * dt**3 / 3.0
+            P[nk + k, nk + nc + m] += s_d * dt * dt / 2.0
+            P[nk + nc + k, nk + m] += s_d * dt * dt / 2.0
+            P[nk + nc + k, nk + nc + m] += s_d * dt
     for i in range(n):
         for j in range(i):
             s = 0.5 * (P[i, j] + P[j, i])

@@ -128,9 +128,10 @@ def range_rate(
 ) -> float:  # fmt: skip
     """Range rate, m/s, of row i, the Sagnac rate included (Groves 9.162)."""
     rate: float = ux * (sat_vel[i, 0] - vx) + uy * (sat_vel[i, 1] - vy) + uz * (sat_vel[i, 2] - vz)
-    return rate + OMEGA_E_GPS / C_LIGHT * (
+    rate += OMEGA_E_GPS / C_LIGHT * (
         sat_vel[i, 0] * py + sat_pos[i, 0] * vy - sat_vel[i, 1] * px - sat_pos[i, 1] * vx
     )
+    return rate
 
 
 @njit
