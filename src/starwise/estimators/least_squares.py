@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from starwise.chi2 import chi_square_points
 from starwise.config import RunConfig
 from starwise.constants import EPOCH_NO_SOLUTION
 from starwise.kernels.rangemodel import RowModel
@@ -12,11 +13,7 @@ from starwise.models.pseudorange import Prepared, empty_row_model
 
 def chi_square_table(false_alarm: float, size: int = 200) -> NDArray[np.float64]:
     """Thresholds (size,) of chi-square tests by degrees of freedom; entry 0 is never used."""
-    from scipy.special import chdtri
-
-    dof = np.arange(size, dtype=np.float64)
-    dof[0] = 1.0
-    return np.asarray(chdtri(dof, false_alarm))
+    return chi_square_points(false_alarm, size)
 
 
 def empty_epochs(n: int, n_clocks: int) -> EpochOut:
