@@ -9,12 +9,14 @@ import argparse
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import starwise
 from datasets import DATA, STATIC, DataSet, rtklib_spp, scratch, truth_ecef
 from starwise.frames import C_ne_enu, geodetic_from_ecef
+from starwise.types import Solution
 
 
 def errors_enu(pos_e: np.ndarray, origin: np.ndarray) -> np.ndarray:
@@ -22,43 +24,51 @@ def errors_enu(pos_e: np.ndarray, origin: np.ndarray) -> np.ndarray:
     return (pos_e - origin) @ C_ne_enu(lat, lon).T
 
 
-def row(data: DataSet, methods: list[str], dynamics: str, sp3: bool, folder: Path) -> dict[str, object]:
-    truth = truth_ecef(data.truth or "")
-    _, pos, _ = rtklib_spp(data, folder)
-    e = errors_enu(pos, truth)
-    result: dict[str, object] = {
-        "set": data.name,
-        "rtklib_epochs": len(pos),
-        "rtklib_rms_2d_m": float(np.sqrt((e[:, :2] ** 2).sum(1).mean())),
-        "rtklib_rms_3d_m": float(np.sqrt((e**2).sum(1).mean())),
-        "rtklib_mean_enu_m": e.mean(0).round(3).tolist(),
+def summary(solution: Solution, truth: np.ndarray) -> dict[str, Any]:
+    ok = solution.has_position
+    e = errors_enu(solution.pos_e[ok], truth)
+    return {
+        "epochs": int(ok.sum()),
+        "flagged": int(((solution.status != 0) & ok).sum()),
+        "rms_2d_m": float(np.sqrt((e[:, :2] ** 2).sum(1).mean())),
+        "rms_3d_m": float(np.sqrt((e**2).sum(1).mean())),
+        "mean_enu_m": e.mean(0).round(3).tolist(),
     }
+
+
+def row(data: DataSet, methods: list[str], dynamics: str, sp3: bool, folder: Path) -> dict[str, Any]:
+    truth = truth_ecef(data.truth or "")
+    _, pos, _ = rtklib_spp(data, folder, sp3)
+    e = errors_enu(pos, truth)
+    rtklib = {"epochs": len(pos), "rms_3d_m": float(np.sqrt((e**2).sum(1).mean())), "mean_enu_m": e.mean(0).tolist()}
+    result: dict[str, Any] = {"set": data.name, "rtklib": rtklib}
+    solutions = {}
     for method in methods:
-        extra = {"ephemeris": DATA / data.sp3} if sp3 and data.sp3 else {}
-        if extra and data.clk:
-            extra["clock"] = DATA / data.clk
-        solution = starwise.solve(
-            DATA / data.obs, *(DATA / n for n in data.nav),
-            method=method, dynamics=dynamics, systems=data.systems, **extra,
-        )  # fmt: skip
-        ok = solution.has_position
-        e = errors_enu(solution.pos_e[ok], truth)
-        result[f"{method}_epochs"] = int(ok.sum())
-        result[f"{method}_flagged"] = int(((solution.status != 0) & ok).sum())
-        result[f"{method}_rms_2d_m"] = float(np.sqrt((e[:, :2] ** 2).sum(1).mean()))
-        result[f"{method}_rms_3d_m"] = float(np.sqrt((e**2).sum(1).mean()))
-        result[f"{method}_mean_enu_m"] = e.mean(0).round(3).tolist()
-        result[f"{method}_ratio"] = result[f"{method}_rms_3d_m"] / result["rtklib_rms_3d_m"]  # type: ignore[operator]
+        extra: dict[str, Any] = {}
+        if sp3 and data.sp3:
+            extra["ephemeris"] = DATA / data.sp3
+            if data.clk:
+                extra["clock"] = DATA / data.clk
+        if method == "lsq_same":  # the models that the .conf gives RTKLIB: standard atmosphere over sin(elevation)
+            extra["troposphere"] = "saastamoinen"
+        files = [DATA / data.obs, *(DATA / n for n in data.nav)]
+        name = method.removesuffix("_same")
+        solutions[method] = starwise.solve(*files, method=name, dynamics=dynamics, systems=data.systems, **extra)
+        result[method] = summary(solutions[method], truth)
+        result[method]["ratio"] = result[method]["rms_3d_m"] / rtklib["rms_3d_m"]
+    if {"ekf", "s3ekf"} <= set(methods):
+        apart = np.linalg.norm(solutions["ekf"].pos_e - solutions["s3ekf"].pos_e, axis=1)
+        result["ekf_s3ekf_max_m"] = float(np.nanmax(apart))
     return result
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--methods", default="lsq,ekf,s3ekf")
+    parser.add_argument("--methods", default="lsq_same,lsq,ekf,s3ekf")
     parser.add_argument("--dynamics", default="static")
-    parser.add_argument("--sp3", action="store_true", help="precise orbits where the set has them")
-    parser.add_argument("--only", default="")
+    parser.add_argument("--sp3", action="store_true", help="precise orbits, on the sets that have them")
+    parser.add_argument("--only", default="", help="sets whose name contains this")
     args = parser.parse_args()
     if shutil.which("rnx2rtkp") is None:
         raise SystemExit("rnx2rtkp is not installed (Debian package rtklib)")
@@ -71,18 +81,14 @@ def main() -> None:
     if args.json:
         print(json.dumps(rows, indent=1))
         return
-    print(
-        f"{'set':18s} {'RTKLIB n':>8s} {'3D m':>7s}"
-        + "".join(f" {m + ' n':>8s} {'flag':>4s} {'3D m':>7s} {'ratio':>6s}" for m in methods)
-    )
+    print(f"{'3D RMS, m; n solved; / RTKLIB':28s}" + "".join(f"{m:>21s}" for m in ["RTKLIB", *methods]))
     for r in rows:
-        line = f"{r['set']:18s} {r['rtklib_epochs']:8d} {r['rtklib_rms_3d_m']:7.3f}"
-        for m in methods:
-            line += f" {r[m + '_epochs']:8d} {r[m + '_flagged']:4d} {r[m + '_rms_3d_m']:7.3f} {r[m + '_ratio']:6.3f}"
-        print(line)
-        print(
-            "   mean ENU: RTKLIB", r["rtklib_mean_enu_m"], *(f"{m} {r[m + '_mean_enu_m']}" for m in methods)
-        )
+        cells = [f"{r['rtklib']['rms_3d_m']:8.3f} {r['rtklib']['epochs']:5d}      "]
+        cells += [f"{r[m]['rms_3d_m']:8.3f} {r[m]['epochs']:5d} {r[m]['ratio']:5.3f}" for m in methods]
+        last = f"  ekf-s3ekf {r['ekf_s3ekf_max_m']:.1e} m" if "ekf_s3ekf_max_m" in r else ""
+        print(f"{r['set']:28s}" + "".join(f"{c:>21s}" for c in cells) + last, flush=True)
+    means = [f"{np.exp(np.mean([np.log(r[m]['ratio']) for r in rows])):20.3f}" for m in methods]
+    print(f"{'geometric mean of ratios':49s}" + " ".join(means))
 
 
 if __name__ == "__main__":

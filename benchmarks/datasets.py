@@ -32,7 +32,7 @@ class DataSet:
 STATIC = (
     DataSet("tlse_2022 1 h", "static/tlse_2022001/TLSE00FRA_R_20220010000_01H_30S_MO.rnx.gz",
             ("static/tlse_2022001/BRDC00IGS_R_20220010000_01D_MN.zip",), "TLSE_2022.001",
-            sp3="static/tlse_2022001/WUM0MGXULT_20220010000_01H_05M_ORB.SP3"),
+            sp3="static/tlse_2022001/igs21906.sp3"),
     DataSet("tlse_2022 24 h G", "static/tlse_2022001/TLSE00FRA_R_20220010000_01D_30S_GO.zip",
             ("static/tlse_2022001/BRDC00IGS_R_20220010000_01D_MN.zip",), "TLSE_2022.001",
             conf="spp_gps.conf", sp3="static/tlse_2022001/igs21906.sp3", systems="G"),
@@ -80,11 +80,19 @@ def plain(path: str, folder: Path) -> Path:
     return target
 
 
-def rtklib_spp(data: DataSet, folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def rtklib_spp(data: DataSet, folder: Path, sp3: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Time of week (s), ECEF positions (n, 3) and their standard deviations (n, 3) of Debian's rnx2rtkp."""
     out = folder / (data.name.replace(" ", "_") + ".pos")
-    command = ["rnx2rtkp", "-k", str(DATA / "rtklib_conf" / data.conf), "-o", str(out)]
+    conf = folder / data.conf
+    text = (DATA / "rtklib_conf" / data.conf).read_text()
+    conf.write_text(text.replace("=brdc\npos1-navsys", "=precise\npos1-navsys") if sp3 else text)
+    command = ["rnx2rtkp", "-k", str(conf), "-o", str(out)]
     command += [str(plain(data.obs, folder)), *(str(plain(n, folder)) for n in data.nav)]
+    if sp3 and data.sp3:
+        orbits = folder / Path(data.sp3).with_suffix(".sp3").name  # RTKLIB goes by the name's ending
+        if not orbits.exists():
+            orbits.write_bytes((DATA / data.sp3).read_bytes())
+        command.append(str(orbits))
     subprocess.run(command, check=True, capture_output=True)
     table = np.array(
         [line.split()[:10] for line in out.read_text().splitlines() if line[:1].isdigit()], dtype=float

@@ -211,6 +211,7 @@ def test_sha256_is_that_of_the_file_on_disk(tmp_path: Path) -> None:
         ("     4.00           NAVIGATION DATA     M                   RINEX VERSION / TYPE", "rinex_nav", "4.00", "M"),
         ("     2.11           METEOROLOGICAL DATA                     RINEX VERSION / TYPE", "rinex_met", "2.11", ""),
         ("     3.00           C                                       RINEX VERSION / TYPE", "clk", "3.00", ""),
+        ("3.04                 C                    M                      RINEX VERSION / TYPE", "clk", "3.04", "M"),
         ("3.0                 COMPACT RINEX FORMAT                    CRINEX VERS   / TYPE", "crinex", "3.0", ""),
         ("#dP2024  3 30  0  0  0.00000000     288 d+D   IGS20 FIT AIUB", "sp3", "d", ""),
         ("#cV2001  8  8  0  0  0.00000000", "sp3", "c", ""),

@@ -155,7 +155,8 @@ def detect(data: bytes) -> FileKind:
         return FileKind("sp3", first[1])
     if first.startswith("%=BIA"):
         return FileKind("bias", first[5:10].strip())
-    if "RINEX VERSION / TYPE" in first and letter == "C":  # CLK 3.04 moved its labels to column 65
+    if "RINEX VERSION / TYPE" in first and first[20:23].strip() == "C":
+        # CLK 3.04 moved its labels to column 66 and the type to column 22 (RINEX clock 3.04 table 1).
         return FileKind("clk", version, system)
     return FileKind("unknown")
 

@@ -29,16 +29,37 @@ def median(values: F8, n: int) -> float:
 
 
 @njit
+def _lead_with(rows: Rows, out: RowModel, m: int, x: F8, nk: int, at: I8, middle: float, work: Work) -> None:
+    """Bring the satellite whose code innovation is nearest to ``middle`` to the front of ``work.order``."""
+    best, best_off = -1, np.inf
+    for k in range(m):
+        i = work.order[k]
+        if at[rows.clock[i]] >= 0:
+            off = abs(code_innovation(rows, out, i, x, nk + at[rows.clock[i]]) - middle)
+            if off < best_off:
+                best, best_off = k, off
+    if best > 0:
+        lead = work.order[best]
+        for k in range(best, 0, -1):
+            work.order[k] = work.order[k - 1]
+        work.order[0] = lead
+
+
+@njit
 def align_clocks(
     options: FilterOptions, rows: Rows, out: RowModel, m: int, x: F8, P: F8, nk: int, nc: int, at: I8, work: Work
 ) -> bool:
-    """Absorb a step common to all clocks: a reset of the receiver's clock, or a clock unknown after a gap.
+    """Absorb a step common to all clocks: a reset of the receiver's clock.
 
     The median of the code innovations of all systems is robust against bad satellites and blind to inter-system
     offsets, which are known. It is a step if it is far outside what the prediction allows while at least 60 % of the
     satellites (three or more) agree on it within their own uncertainty. Then the common clock is forgotten and
     starts again at the median with a variance far above the median's own, so that the measurements are not counted
     twice to any effect. Doppler knows nothing of steps: the drifts stay.
+
+    A clock that is merely uncertain (no Doppler yet, or a long gap) is left to the update, which so learns the drift
+    that carried it away; but any first satellite would pass its gate as a clock error, so that the one nearest to the
+    median comes first.
     """
     if m == 0:
         return False
@@ -60,7 +81,9 @@ def align_clocks(
     if count == 0 or (count < 3 and not loose):
         return False
     middle = median(work.sorted, count)
-    if not loose and middle * middle < 36.0 * (s_clk + s_pos):
+    if middle * middle < 36.0 * (s_clk + s_pos):
+        if loose:
+            _lead_with(rows, out, m, x, nk, at, middle, work)
         return False
     agree, spread2 = 0, 0.0
     for k in range(m):

@@ -63,6 +63,13 @@ class EpochOut(NamedTuple):
 
 
 @njit
+def _fill(values: F8, value: float) -> None:
+    """Set all elements (a loop compiles faster than a slice)."""
+    for i in range(len(values)):
+        values[i] = value
+
+
+@njit
 def threshold(table: F8, dof: int) -> float:
     """Chi-square threshold for ``dof`` degrees of freedom out of a table by dof."""
     return float(table[min(dof, len(table) - 1)])
@@ -71,7 +78,7 @@ def threshold(table: F8, dof: int) -> float:
 @njit
 def dops(out: RowModel, start: int, end: int, result: F8) -> None:
     """GDOP, PDOP, HDOP, VDOP of the used rows, one common clock (Groves 9.4.3); NaN below four satellites."""
-    result[:] = np.nan
+    _fill(result, np.nan)
     N = np.zeros((4, 4))
     h = np.empty(4)
     n = 0
@@ -195,7 +202,7 @@ def spp_velocity(
     N = np.empty((4, 4))
     g = np.empty(4)
     h = np.empty(4)
-    vel[:] = 0.0
+    _fill(vel, 0.0)
     n = 0
     for i in range(start, end):
         ok = out.status[i] == ROW_USED and rows.rate_mps[i] == rows.rate_mps[i]
@@ -203,8 +210,10 @@ def spp_velocity(
         n += 1 if ok else 0
     while n >= 4:
         for _ in range(2):  # linear but for the tiny Sagnac rate
-            N[:, :] = 0.0
-            g[:] = 0.0
+            for a in range(4):
+                for b in range(4):
+                    N[a, b] = 0.0
+            _fill(g, 0.0)
             sse = 0.0
             for i in range(start, end):
                 if out.rate_used[i] == 0:
@@ -221,7 +230,7 @@ def spp_velocity(
                         N[a, b] += w * h[a] * h[b]
                 sse += w * v * v
             if not cholesky(N, 4):
-                vel[:] = np.nan
+                _fill(vel, np.nan)
                 return False
             cholesky_solve(N, g, 4)
             for a in range(4):
@@ -237,7 +246,7 @@ def spp_velocity(
                     worst, worst_w = i, w
         out.rate_used[worst] = 0
         n -= 1
-    vel[:] = np.nan
+    _fill(vel, np.nan)
     for i in range(start, end):
         out.rate_used[i] = 0
     return False
@@ -281,9 +290,11 @@ def spp_epoch(
     g = np.empty(3 + nc)
     excluded = np.zeros(end - start, np.bool_)
     n_excluded = 0
-    numbers[:] = 0.0
-    vel[:] = np.nan
-    P[:, :] = np.nan
+    _fill(numbers, 0.0)
+    _fill(vel, np.nan)
+    for a in range(3 + nc):
+        for b in range(3 + nc):
+            P[a, b] = np.nan
     for k in range(nc):
         if x[3 + k] != x[3 + k]:
             x[3 + k] = 0.0
@@ -300,7 +311,8 @@ def spp_epoch(
                 epoch_corrections(model, t_ns, rows, start, end, x[0], x[1], x[2], known, out)
                 moved = 0.0
                 n = 0
-                column[:] = -1
+                for k in range(nc):
+                    column[k] = -1
                 for i in range(start, end):
                     if excluded[i - start] and out.status[i] == ROW_USED:
                         out.status[i] = ROW_EXCLUDED
@@ -353,7 +365,7 @@ def spp_epoch(
         n_excluded += 1
         solved = False
     if not solved:
-        x[:] = np.nan
+        _fill(x, np.nan)
         for i in range(start, end):
             if out.status[i] == ROW_USED:
                 out.status[i] = ROW_EPOCH_UNSOLVED
@@ -408,13 +420,13 @@ def spp_run(model: ModelOptions, options: SppOptions, epochs: Epochs, rows: Rows
             if tie[k] == tie[k]:
                 now_var[k] += options.tie_sigma_m**2 * (now - tie_at[k])
         if x[0] != x[0]:
-            x[:] = 0.0
+            _fill(x, 0.0)
         status = spp_epoch(
             model, options, epochs.t_ns[e], rows, start, end, now_tie, now_var, x, P, vel, Pv, numbers, out
         )
         if status == EPOCH_NO_SOLUTION:
             # A start taken from a wrong place could be why: once more from the Earth's centre.
-            x[:] = 0.0
+            _fill(x, 0.0)
             status = spp_epoch(
                 model,
                 options,
@@ -440,11 +452,14 @@ def spp_run(model: ModelOptions, options: SppOptions, epochs: Epochs, rows: Rows
             ep.status[e] = EPOCH_SUSPECT
         if not P[0, 0] + P[1, 1] + P[2, 2] <= options.max_sigma_m**2:
             ep.status[e] = EPOCH_SUSPECT
-        ep.pos[e] = x[:3]
-        ep.cov_pos[e] = P[:3, :3]
-        ep.vel[e] = vel[:3]
-        if vel[0] == vel[0]:
-            ep.cov_vel[e] = Pv[:3, :3]
+        # Element by element: assigning slices brings numba's error texts along, seconds of compile time.
+        for a in range(3):
+            ep.pos[e, a] = x[a]
+            ep.vel[e, a] = vel[a]
+            for b in range(3):
+                ep.cov_pos[e, a, b] = P[a, b]
+                if vel[0] == vel[0]:
+                    ep.cov_vel[e, a, b] = Pv[a, b]
         for k in range(nc):
             ep.clock[e, k] = x[3 + k]
             ep.clock_var[e, k] = P[3 + k, 3 + k]
