@@ -20,7 +20,7 @@ from starwise.sim.clock import ReceiverClock
 from starwise.sim.run import Simulation, Simulator
 from starwise.sim.scenario import Scenario
 from starwise.sim.seeds import streams
-from starwise.types import F8, BroadcastRecords
+from starwise.types import F8, I2, BroadcastRecords
 
 ALL_SEEN: Final = -1.6
 """Elevation mask, rad, below every satellite: the simulator has applied the scenario's mask already."""
@@ -38,6 +38,8 @@ class Sky:
     n_clocks : int
     pos_e, vel_e : (n_epochs, 3) float64
         True antenna, ECEF, m and m/s.
+    sv : (n_rows,) int16
+        Satellite of each row.
     """
 
     epochs: Epochs
@@ -46,6 +48,7 @@ class Sky:
     n_clocks: int
     pos_e: F8
     vel_e: F8
+    sv: I2
 
     def solve(self, config: RunConfig, start: tuple[F8, F8] | None = None) -> EpochOut:
         """Positions by ``config.method``; see `starwise.estimators.filter.filter_rows`."""
@@ -158,9 +161,8 @@ class Scene:
             clock=column[obs.sv >> 8],
             status=np.full(n, ROW_USED, dtype=np.uint8),
         )
-        sky = Sky(
-            Epochs(obs.t_ns, obs.offsets), rows, _model(self.scenario, None), len(letters), truth.pos_e, truth.vel_e
-        )
+        epochs, n_clocks = Epochs(obs.t_ns, obs.offsets), len(letters)
+        sky = Sky(epochs, rows, _model(self.scenario, None), n_clocks, truth.pos_e, truth.vel_e, obs.sv)
         key, which = np.unique(obs.sv.astype(np.int64) << 16 | obs.sig.astype(np.int64), return_inverse=True)
         names = tuple(f"{sv_name(int(k >> 16))}/{signal_name(int(k & 0xFFFF))}" for k in key)
         return sky, epoch, names, which.astype(np.int64)
@@ -216,4 +218,5 @@ def sky_of(simulation: Simulation, config: RunConfig) -> Sky:
         len(prepared.clock_names),
         simulation.truth.pos_e,
         simulation.truth.vel_e,
+        prepared.sightings.sv,
     )

@@ -1,0 +1,212 @@
+"""Report and figures of the reproduced S3EKF paper."""
+
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+Errors = dict[str, list[float]]
+Result = dict[str, Any]
+_NAMES = {"lsq": "LSM", "ekf": "EKF", "s3ekf": "S3EKF"}
+
+
+def write_report(result: Result, errors: Errors, base: Path) -> None:
+    """Write ``report.md`` and, where matplotlib is installed, the figures as SVG.
+
+    Raises
+    ------
+    StarwiseError
+        A file cannot be written.
+    """
+    from starwise.studies.s3ekf import write_text
+
+    drawn = draw(result, errors, base) if find_spec("matplotlib") else []
+    write_text(report_text(result, drawn), base / "report.md")
+
+
+def report_text(result: Result, figures: Sequence[str] = ()) -> str:
+    """The report, Markdown."""
+    s = result["settings"]
+    lines = [
+        "# S3EKF reproduced",
+        "",
+        f"starwise {s['version']}, {s['runs']} runs of each scenario, seeds {', '.join(map(str, s['seeds']))}. "
+        f"White jerk {s['jerk_psd_m2_per_s5']:g} m^2/s^5, one filter for all scenarios; statistics from "
+        f"{s['statistics_from_s']:g} s on. Paper's figures in brackets; +- is the spread of single runs.",
+        "",
+        "## Table 1: 2RMS",
+        "",
+        *_table(
+            ("scenario", "method", "horizontal, m", "vertical, m", "velocity, m/s"),
+            [
+                (row["scenario"], _NAMES[row["method"]], *(_with_paper(row, k) for k in _SIZES))
+                for row in result["table1"]
+            ],
+        ),
+        "",
+        f"EKF and S3EKF: at most {result['max_difference_m'] * 1e3:.4f} mm apart at any epoch of any run.",
+        "",
+        "## Velocity gain over least squares",
+        "",
+        *_table(
+            ("rate noise, m/s", "gain", "paper", "by scenario"),
+            [
+                (
+                    f"{row['rate_noise_mps']:g}",
+                    f"{row['gain']:.1%}",
+                    f"{row['paper_gain']:.0%}",
+                    ", ".join(f"{g:.1%}" for g in row["by_scenario"]),
+                )
+                for row in result["velocity_gain"]
+            ],
+        ),
+        "",
+        "## Operations saved by the sequential form (figure 7)",
+        "",
+        *_operations(result),
+        "",
+        "## Measured time of one update, 13 states",
+        "",
+        *_table(
+            ("satellites", "batch, us", "sequential, us", "compressed, us", "seq. / batch", "compr. / seq."),
+            [
+                (
+                    row["n"],
+                    *(f"{row[k]:.2f}" for k in ("batch_us", "sequential_us", "compressed_us")),
+                    *(f"{row[k]:.2f}" for k in ("sequential_over_batch", "compressed_over_sequential")),
+                )
+                for row in result["time_ratio"]
+            ],
+        ),
+        "",
+        "## Real data",
+        "",
+        *_real(result["real"]),
+        "",
+        "## Beyond the paper",
+        "",
+        *[f"- {_sentence(row)}" for row in result["robustness"]],
+        "",
+        "## Scenario 2, one run",
+        "",
+        _sentence(result["scenario2"]) + ".",
+        "",
+        *[f"![{name}]({name})" for name in figures],
+    ]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+_SIZES = ("horizontal_2rms_m", "vertical_2rms_m", "velocity_2rms_mps")
+
+
+def _with_paper(row: Result, key: str) -> str:
+    digits = 3 if key == "velocity_2rms_mps" else 2
+    return f"{row[key]:.{digits}f} +- {row[key + '_spread']:.{digits}f} ({row['paper_' + key]:.2f})"
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
+    lines = [head, ["---"] * len(head), *rows]
+    return ["| " + " | ".join(str(cell) for cell in line) + " |" for line in lines]
+
+
+def _operations(result: Result) -> list[str]:
+    states = sorted({row["states"] for row in result["operation_gain"]})
+    by = {(row["n"], row["states"]): row for row in result["operation_gain"]}
+    paper = {row["n"]: row["gain"] for row in result["paper"]["operation_gain"]}
+    head = ["satellites", "paper"] + [f"rule, N = {N}" for N in states] + [f"own, N = {N}" for N in states]
+    rows = [
+        (
+            n,
+            f"{paper[n]:.1%}" if n in paper else "",
+            *(f"{by[n, N]['paper_rule']:.1%}" for N in states),
+            *(f"{by[n, N]['own_rule']:.1%}" for N in states),
+        )
+        for n in (4, 6, 7, 8, 10, 15, 20, 30, 45, 60)
+    ]
+    return _table(head, rows)
+
+
+def _real(rows: Sequence[Result]) -> list[str]:
+    there = [row for row in rows if "absent" not in row]
+    lines = [f"- {row['data']}: not compared, {row['absent']}" for row in rows if "absent" in row]
+    if there:
+        head = ("data", "systems", "satellites", "apart, mm", "same decisions", "EKF, us", "S3EKF, us", "ratio")
+        body = [
+            (
+                row["data"], row["systems"], f"{row['n_min']}-{row['n_max']}", f"{row['max_difference_m'] * 1e3:.4f}",
+                "yes" if row["same_decisions"] else "no", f"{row['ekf_us']:.1f}", f"{row['s3ekf_us']:.1f}",
+                f"{row['ratio']:.2f}",
+            )
+            for row in there
+        ]  # fmt: skip
+        lines += ([""] if lines else []) + _table(head, body)
+    return lines
+
+
+def _sentence(row: Result) -> str:
+    """A record of results in words: ``case, form: name value, ...``."""
+    head = ", ".join(str(row[k]) for k in ("case", "form", "variant") if k in row)
+    rest = [k for k in row if k not in ("case", "form", "variant")]
+
+    def value(v: object) -> str:
+        return "none" if v is None else f"{v:.3g}" if isinstance(v, float) else str(v)
+
+    body = ", ".join(f"{k.replace('_', ' ')} {value(row[k])}" for k in rest)
+    return f"{head}: {body}" if head else body
+
+
+def draw(result: Result, errors: Errors, base: Path) -> list[str]:
+    """Figures 3 to 7 and the measured times as SVG; their names."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    matplotlib.rcParams["svg.hashsalt"] = "starwise"
+    from matplotlib import pyplot as plt
+
+    drawn: list[str] = []
+
+    def figure(name: str, fill: Callable[[Any], None], xlabel: str, ylabel: str) -> None:
+        fig, ax = plt.subplots(figsize=(7.0, 3.6), layout="constrained")
+        fill(ax)
+        ax.set(xlabel=xlabel, ylabel=ylabel)
+        ax.grid(alpha=0.3)
+        if ax.get_legend_handles_labels()[0]:
+            ax.legend(frameon=False, fontsize="small")
+        fig.savefig(base / name, metadata={"Date": None})
+        plt.close(fig)
+        drawn.append(name)
+
+    def against_time(quantity: str) -> Callable[[Any], None]:
+        def fill(ax: Any) -> None:
+            for method, style in (("lsq", "0.7"), ("ekf", "C1"), ("s3ekf", "C0")):
+                width, dash = (2.4, "-") if method == "ekf" else (1.0, "--" if method == "s3ekf" else "-")
+                ax.plot(errors["t_s"], errors[f"{method}_{quantity}"], color=style, lw=width, ls=dash,
+                        label=_NAMES[method])  # fmt: skip
+
+        return fill
+
+    figure("fig3_horizontal.svg", against_time("horizontal_m"), "time, s", "horizontal error, m")
+    figure("fig4_vertical.svg", against_time("vertical_m"), "time, s", "vertical error, m")
+    figure("fig5_velocity.svg", against_time("velocity_mps"), "time, s", "velocity error, m/s")
+    figure("fig6_satellites.svg", lambda ax: ax.step(errors["t_s"], errors["satellites"], where="post"),
+           "time, s", "satellites")  # fmt: skip
+    figure("fig7_operations.svg", lambda ax: _fill_operations(ax, result), "satellites", "operations saved")
+    figure("time_ratio.svg", lambda ax: _fill_times(ax, result), "satellites", "time of one update, us")
+    return drawn
+
+
+def _fill_operations(ax: Any, result: Result) -> None:
+    for k, N in enumerate(sorted({row["states"] for row in result["operation_gain"]})):
+        rows = [row for row in result["operation_gain"] if row["states"] == N and 4 <= row["n"] <= 30]
+        n = [row["n"] for row in rows]
+        ax.plot(n, [row["paper_rule"] for row in rows], color=f"C{k}", label=f"paper's rule, N = {N}")
+        ax.plot(n, [row["own_rule"] for row in rows], color=f"C{k}", ls="--", label=f"own update, N = {N}")
+    paper = result["paper"]["operation_gain"]
+    ax.plot([p["n"] for p in paper], [p["gain"] for p in paper], "kx", label="paper's figures")
+    ax.axhline(0.0, color="k", lw=0.6)
+
+
+def _fill_times(ax: Any, result: Result) -> None:
+    rows = result["time_ratio"]
+    for key in ("batch", "sequential", "compressed"):
+        ax.loglog([row["n"] for row in rows], [row[f"{key}_us"] for row in rows], marker=".", label=key)
