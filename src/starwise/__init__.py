@@ -12,7 +12,7 @@ The main entry points, imported when first used so that ``import starwise`` cost
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from starwise._version import __version__
 
 if TYPE_CHECKING:
     from starwise.api import assess, info, solve

@@ -1,15 +1,18 @@
 """The command line: options in, text out. No algorithm here, and nothing heavy imported before it is needed."""
 
-import json
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from starwise import cli_sim
 from starwise.errors import StarwiseError
+from starwise.terminal import Json
+from starwise.terminal import Progress as _Progress
+from starwise.terminal import show as _print
+from starwise.terminal import show_json as _print_json
 
 app = typer.Typer(
     name="starwise",
@@ -18,8 +21,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
 def run(arguments: list[str]) -> int:
@@ -237,36 +238,4 @@ def demo(
         _print(outcome.text)
 
 
-class _Progress:
-    """Progress bar on the error stream if that is a terminal, else silence."""
-
-    def __init__(self, silent: bool) -> None:
-        self._bar: Any = None
-        if not silent and sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-            columns = (TextColumn("{task.description:12}"), BarColumn(), TimeElapsedColumn())
-            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
-            self._task = self._bar.add_task("", total=1.0)
-
-    def __enter__(self) -> Callable[[str, float], None]:
-        if self._bar is not None:
-            self._bar.start()
-        return self._say
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-
-    def _say(self, what: str, fraction: float) -> None:
-        if self._bar is not None:
-            self._bar.update(self._task, description=what, completed=fraction)
-
-
-def _print(text: str) -> None:
-    sys.stdout.write(text + "\n")
-
-
-def _print_json(value: Any) -> None:
-    sys.stdout.write(json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+cli_sim.register(app)

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from starwise import __version__
+from starwise._version import __version__
 from starwise.analysis.operation_count import operation_gain
 from starwise.constants import NS
 from starwise.errors import StarwiseError

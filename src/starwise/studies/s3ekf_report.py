@@ -96,6 +96,28 @@ def report_text(result: Result, figures: Sequence[str] = ()) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
+def short_text(result: Result) -> str:
+    """The main results for a terminal, 80 columns."""
+    lines = [f"{result['settings']['runs']} runs; 2RMS, the paper's in brackets", ""]
+    lines.append(f"{'':>2} {'method':<6} {'horizontal, m':>17} {'vertical, m':>17} {'velocity, m/s':>17}")
+    for row in result["table1"]:
+        cells = " ".join(f"{row[k]:9.{d}f} ({row['paper_' + k]:5.2f})" for k, d in zip(_SIZES, (2, 2, 3), strict=True))
+        lines.append(f"{row['scenario']:>2} {_NAMES[row['method']]:<6} {cells}")
+    gain = {(row["n"], row["states"]): row for row in result["operation_gain"]}
+    times = {row["n"]: row for row in result["time_ratio"]}
+    lines += ["", f"EKF to S3EKF: at most {result['max_difference_m'] * 1e3:.4f} mm"]
+    lines += [
+        f"velocity gain at {row['rate_noise_mps']:g} m/s: {row['gain']:.1%} (paper {row['paper_gain']:.0%})"
+        for row in result["velocity_gain"]
+    ]
+    lines += [
+        f"{n} satellites: operations saved {gain[n, 13]['paper_rule']:.1%} (paper's rule), "
+        f"{gain[n, 13]['own_rule']:.1%} (own); time {times[n]['sequential_over_batch']:.2f}"
+        for n in (7, 8, 15)
+    ]
+    return "\n".join(lines)
+
+
 _SIZES = ("horizontal_2rms_m", "vertical_2rms_m", "velocity_2rms_mps")
 
 

@@ -1,0 +1,96 @@
+"""Commands that simulate: ``simulate`` and ``reproduce``. Options in, text out; nothing heavy imported early."""
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from starwise.errors import StarwiseError
+from starwise.terminal import Json, Progress, show, show_json
+
+Output = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Directory for the results.")]
+Runs = Annotated[int, typer.Option("--runs", metavar="N", min=1, help="Monte Carlo runs; they are resumed.")]
+Seed = Annotated[int | None, typer.Option("--seed", metavar="S", help="In place of the scenario's.")]
+Workers = Annotated[int | None, typer.Option("--workers", metavar="N", min=1, help="Processes; default: all cores.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the application."""
+    app.command()(simulate)
+    app.command()(reproduce)
+
+
+def simulate(
+    scenario: Annotated[
+        str, typer.Argument(metavar="SCENARIO", help="A scenario file (TOML), or the name of one in the package.")
+    ],
+    output: Output,
+    runs: Runs = 1,
+    seed: Seed = None,
+    method: Annotated[
+        str, typer.Option(metavar="lsq|ekf|s3ekf|all", help="With --runs: estimators whose errors are collected.")
+    ] = "s3ekf",
+    workers: Workers = None,
+    as_json: Json = False,
+) -> None:
+    """RINEX files, inertial data and the truth out of a scenario.
+
+    With --runs N also montecarlo.parquet: every run solved, a row per run and method with its errors. The files are
+    those of run 0.
+    """
+    from starwise.studies.simulating import simulate_files
+
+    methods = ("lsq", "ekf", "s3ekf") if method == "all" else (method,)
+    began = time.perf_counter()
+    with Progress(as_json) as progress:
+        record = simulate_files(
+            scenario, output, runs=runs, seed=seed, methods=methods, workers=workers, progress=progress
+        )
+    if as_json:
+        show_json(record)
+    else:
+        show(_simulate_text(record, output, time.perf_counter() - began))
+
+
+def _simulate_text(record: dict[str, Any], output: Path, seconds: float) -> str:
+    lines = [
+        f"{record['scenario']}: {record['epochs']} epochs of {record['satellites_min']}-{record['satellites_max']} "
+        f"satellites, seed {record['seed']}, {seconds:.1f} s"
+    ]
+    lines += [f"  {kind:<13} {name}" for kind, name in record["files"].items()]
+    for row in record.get("montecarlo", []):
+        lines.append(
+            f"  {row['method']:<6} {row['runs']} runs, 2RMS: horizontal {row['horizontal_2rms_m']:.3f} m, vertical "
+            f"{row['vertical_2rms_m']:.3f} m,\n         velocity {row['velocity_2rms_mps']:.3f} m/s"
+        )
+    return "\n".join([*lines, f"  in {output}"])
+
+
+def reproduce(
+    paper: Annotated[str, typer.Argument(metavar="PAPER", help="s3ekf: sequential EKF (Chen, Zhang, Huo 2012).")],
+    output: Output = Path("starwise-reproduce"),
+    runs: Runs = 100,
+    seed: Seed = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of real measurements; default ../shared/data where it exists."),
+    ] = None,
+    workers: Workers = None,
+    as_json: Json = False,
+) -> None:
+    """Results of a paper, beside its own figures: tables, figures and a report."""
+    if paper != "s3ekf":
+        raise StarwiseError("no such paper", found=paper, wanted="s3ekf")
+    if data is not None and not data.is_dir():
+        raise StarwiseError("no such folder", file=data)
+    from starwise.studies.s3ekf import reproduce_s3ekf
+
+    with Progress(as_json) as progress:
+        result = reproduce_s3ekf(output, runs, seed, data, workers, progress)
+    if as_json:
+        show_json(result)
+        return
+    from starwise.studies.s3ekf_report import short_text
+
+    show(short_text(result) + f"\nThe whole report: {output / 'report.md'}")

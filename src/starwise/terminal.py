@@ -1,0 +1,48 @@
+"""What commands show: text, one JSON object, or a progress bar where somebody watches."""
+
+import json
+import sys
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import typer
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+
+
+class Progress:
+    """Progress bar on the error stream if that is a terminal, else silence."""
+
+    def __init__(self, silent: bool) -> None:
+        self._bar: Any = None
+        if not silent and sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+            from rich.progress import Progress as Bar
+
+            columns = (TextColumn("{task.description:12}"), BarColumn(), TimeElapsedColumn())
+            self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task("", total=1.0)
+
+    def __enter__(self) -> Callable[[str, float], None]:
+        if self._bar is not None:
+            self._bar.start()
+        return self._say
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def _say(self, what: str, fraction: float) -> None:
+        if self._bar is not None:
+            self._bar.update(self._task, description=what, completed=fraction)
+
+
+def show(text: str) -> None:
+    """Print text."""
+    sys.stdout.write(text + "\n")
+
+
+def show_json(value: Any) -> None:
+    """Print one JSON object."""
+    sys.stdout.write(json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
