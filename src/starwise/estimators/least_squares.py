@@ -1,5 +1,7 @@
 """Least squares, one epoch at a time (Groves 9.4)."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,8 +13,9 @@ from starwise.kernels.spp import EpochOut, SppOptions, spp_run
 from starwise.models.pseudorange import Prepared, empty_row_model
 
 
+@lru_cache(maxsize=16)
 def chi_square_table(false_alarm: float, size: int = 200) -> NDArray[np.float64]:
-    """Thresholds (size,) of chi-square tests by degrees of freedom; entry 0 is never used."""
+    """Thresholds (size,) of chi-square tests by degrees of freedom; entry 0 is never used; one shared array."""
     return chi_square_points(false_alarm, size)
 
 

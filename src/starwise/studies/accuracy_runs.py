@@ -85,6 +85,26 @@ def error_sizes(ep: EpochOut, sky: Sky, first: int = 0) -> dict[str, float]:
     }
 
 
+def expected_sizes(ep: EpochOut, sky: Sky, first: int = 0) -> dict[str, float]:
+    """What the estimator's own covariances say that `error_sizes` will be; names with ``expected_`` before them."""
+    llh = geodetic_from_ecef(sky.pos_e[first:])
+    turn = rotations_ne_enu(llh[:, 0], llh[:, 1])
+
+    def variances(cov: F8) -> F8:
+        return np.asarray(np.einsum("nij,njk,nik->ni", turn, cov[first:], turn))
+
+    pos, vel = variances(ep.cov_pos), variances(ep.cov_vel)
+
+    def twice(variance: F8) -> float:
+        return float(2.0 * np.sqrt(np.nanmean(variance))) if np.isfinite(variance).any() else float("nan")
+
+    return {
+        "expected_horizontal_2rms_m": twice(pos[:, 0] + pos[:, 1]),
+        "expected_vertical_2rms_m": twice(pos[:, 2]),
+        "expected_velocity_2rms_mps": twice(vel.sum(axis=1)),
+    }
+
+
 @dataclass(frozen=True)
 class AccuracyTask:
     """Runs of one scenario through some methods.

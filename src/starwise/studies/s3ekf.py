@@ -18,7 +18,7 @@ from starwise.studies.montecarlo import run_many, write_whole
 from starwise.studies.s3ekf_filter import JERK_PSD, METHODS, SCENARIOS, SETTLED_S, paper_config, solve_paper
 from starwise.studies.s3ekf_real import real_data
 from starwise.studies.s3ekf_robustness import robustness
-from starwise.studies.s3ekf_runs import PaperTask, max_difference, table1, velocity_gain
+from starwise.studies.s3ekf_runs import PaperTask, max_difference, sensitivity, table1, velocity_gain
 from starwise.studies.scene import Scene
 from starwise.studies.update_timing import time_updates
 
@@ -56,7 +56,7 @@ def reproduce_s3ekf(
     -------
     dict
         ``table1``, ``max_difference_m``, ``velocity_gain``, ``operation_gain``, ``time_ratio``, ``real``,
-        ``robustness``, ``scenario2`` (figures 3 to 6 in numbers), ``paper``, ``settings``.
+        ``robustness``, ``sensitivity``, ``scenario2`` (figures 3 to 6 in numbers), ``paper``, ``settings``.
 
     Raises
     ------
@@ -72,7 +72,9 @@ def reproduce_s3ekf(
     table = run_many(
         PaperTask(seed), runs, base, name="runs", workers=workers, progress=lambda _, f: say("Monte Carlo", 0.6 * f)
     )
-    say("one run of scenario 2", 0.6)
+    say("other process noise", 0.6)
+    others = sensitivity(seed=seed)
+    say("one run of scenario 2", 0.64)
     errors = scenario2_errors(seed)
     say("robustness", 0.65)
     beyond = robustness(seed, lambda f: say("robustness", 0.65 + 0.1 * f))
@@ -87,6 +89,7 @@ def reproduce_s3ekf(
         "time_ratio": time_updates(),
         "real": real,
         "robustness": beyond,
+        "sensitivity": others,
         "scenario2": summary_of_errors(errors),
         "paper": {"operation_gain": [{"n": n, "gain": gain} for n, gain in PAPER_OPERATION_GAIN.items()]},
         "settings": {

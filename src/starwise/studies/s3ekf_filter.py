@@ -35,7 +35,7 @@ Method = Literal["lsq", "ekf", "s3ekf"]
 METHODS: Final[tuple[Method, ...]] = ("lsq", "ekf", "s3ekf")
 
 
-def paper_config(method: Method) -> RunConfig:
+def paper_config(method: Method, jerk_psd: float = JERK_PSD) -> RunConfig:
     """Configuration of the paper's filter or of its least squares."""
     return RunConfig(
         method=method,
@@ -45,12 +45,17 @@ def paper_config(method: Method) -> RunConfig:
         ionosphere="none",
         troposphere="none",
         fde=False,
-        process=ProcessNoise(model="acceleration", jerk_psd_m2_per_s5=JERK_PSD),
+        process=ProcessNoise(model="acceleration", jerk_psd_m2_per_s5=jerk_psd),
     )
 
 
 def solve_paper(
-    sky: Sky, method: Method, start: tuple[F8, F8] | None = None, gate: float = np.inf, restarts: bool = False
+    sky: Sky,
+    method: Method,
+    start: tuple[F8, F8] | None = None,
+    gated: bool = False,
+    restarts: bool = False,
+    jerk_psd: float = JERK_PSD,
 ) -> EpochOut:
     """All epochs by the paper's filter, or by least squares.
 
@@ -60,17 +65,19 @@ def solve_paper(
     method : str
     start : ((n,), (n, n)), optional
         Belief at the first epoch in place of least squares.
-    gate : float
-        Chi-square threshold of one row; pairs get the one of the same chance. Infinite: none, like the paper.
+    gated : bool
+        Test every satellite like ``starwise solve``; the paper does not.
     restarts : bool
         Let a filter that is lost, or that is more uncertain than 10 km, start again from least squares.
+    jerk_psd : float
+        Process noise, m^2/s^5.
     """
-    config = paper_config(method)
+    config = paper_config(method, jerk_psd)
     if method == "lsq":
         return solve_rows(sky, config)[0]
     motion, clocks = motion_from(config), clocks_from(config)
     options = filter_options(config, motion, clocks)
-    if not np.isfinite(gate):
+    if not gated:
         options = options._replace(gate1=np.inf, gate2=np.inf)
     if not restarts:
         options = options._replace(patience=1 << 30, lost_sigma_m=np.inf)

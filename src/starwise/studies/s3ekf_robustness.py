@@ -8,7 +8,6 @@ import numpy as np
 
 from starwise.constants import NS, ROW_LOW_ELEVATION, ROW_USED
 from starwise.estimators import ekf, s3ekf
-from starwise.estimators.least_squares import chi_square_table
 from starwise.kernels.filter_epoch import linearise
 from starwise.kernels.rangemodel import RowModel
 from starwise.models.process import clocks_from, matrices, motion_from
@@ -21,7 +20,6 @@ from starwise.types import F8, I8, Layout, Linear, State
 
 FORMS: Final[tuple[Method, ...]] = ("ekf", "s3ekf")
 START_ERRORS_M: Final = (100e3, 1000e3)
-GATE: Final = float(chi_square_table(1e-3, 2)[1])
 Say = Callable[[float], None]
 
 
@@ -44,6 +42,7 @@ def robustness(seed: int | None = None, say: Say = lambda _: None) -> list[dict[
         out += few_satellites(turn, satellites, 65.0, "in the turn")
         out += few_satellites(turn, satellites, 130.0, "straight")
     out += bad_satellite(still)
+    out += changing_sky(turn)
     say(1.0)
     return out
 
@@ -173,6 +172,36 @@ def few_satellites(sky: Sky, satellites: int, start_s: float, where: str) -> lis
     return table
 
 
+def changing_sky(sky: Sky, period_s: float = 10.0) -> list[dict[str, Any]]:
+    """Every 10 s another third of the satellites is missing: continuity where the sky changes.
+
+    The jump is the largest change, from one epoch to the next, of the distance to the solution with all satellites.
+    """
+    t_s = (sky.epochs.t_ns - sky.epochs.t_ns[0]) / NS
+    turn = (t_s // period_s).astype(np.int64)
+    epoch = np.repeat(np.arange(len(t_s)), np.diff(sky.epochs.offsets))
+    order = np.arange(len(epoch)) - sky.epochs.offsets[epoch]
+    missing = (order + turn[epoch]) % 3 == 0
+    status = np.where(missing, np.uint8(ROW_LOW_ELEVATION), sky.rows.status)
+    changing = replace(sky, rows=sky.rows._replace(status=status))
+    at_change, settled = np.diff(turn) != 0, t_s[1:] > 2.0 * period_s
+    solved = {form: solve_paper(changing, form).pos for form in FORMS}
+    table = []
+    for form in FORMS:
+        jump = np.linalg.norm(np.diff(solved[form] - solve_paper(sky, form).pos, axis=0), axis=1)
+        table.append(
+            {
+                "case": f"another third of the satellites missing every {period_s:.0f} s",
+                "form": form,
+                "largest_jump_at_change_m": float(jump[at_change & settled].max()),
+                "largest_jump_elsewhere_m": float(jump[~at_change & settled].max()),
+                "largest_error_m": float(np.linalg.norm(solved[form] - sky.pos_e, axis=1)[1:][settled].max()),
+                "ekf_to_s3ekf_m": float(np.linalg.norm(solved["ekf"] - solved["s3ekf"], axis=1).max()),
+            }
+        )
+    return table
+
+
 def bad_satellite(sky: Sky, step_m: float = 100.0, start_s: float = 100.0) -> list[dict[str, Any]]:
     """One satellite whose pseudorange steps by 100 m: without a gate, as in the paper, and with starwise's."""
     t_s = (sky.epochs.t_ns - sky.epochs.t_ns[0]) / NS
@@ -183,9 +212,9 @@ def bad_satellite(sky: Sky, step_m: float = 100.0, start_s: float = 100.0) -> li
     assert (sky.rows.status == ROW_USED).all()
     bad = replace(sky, rows=sky.rows._replace(code_m=code))
     table = []
-    for gate, name in ((np.inf, "no gate"), (GATE, "gate of starwise solve")):
-        solved = {form: solve_paper(bad, form, gate=gate).pos for form in FORMS}
-        clean = {form: solve_paper(sky, form, gate=gate).pos for form in FORMS}
+    for gated, name in ((False, "no gate"), (True, "gate of starwise solve")):
+        solved = {form: solve_paper(bad, form, gated=gated).pos for form in FORMS}
+        clean = {form: solve_paper(sky, form, gated=gated).pos for form in FORMS}
         for form in FORMS:
             table.append(
                 {

@@ -8,7 +8,7 @@ import numpy as np
 
 from starwise.constants import NS
 from starwise.sim.scenario import load_scenario
-from starwise.studies.accuracy_runs import describe_scenario, error_sizes
+from starwise.studies.accuracy_runs import describe_scenario, error_sizes, expected_sizes
 from starwise.studies.montecarlo import Row
 from starwise.studies.s3ekf_filter import JERK_PSD, METHODS, SCENARIOS, SETTLED_S, paper_config, solve_paper
 from starwise.studies.scene import Scene
@@ -74,6 +74,7 @@ def scenario_rows(scene: Scene, index: int, number: int) -> list[Row]:
                     "rate_noise_mps": noise,
                     "method": method,
                     **error_sizes(ep, sky, first),
+                    **expected_sizes(ep, sky, first),
                     "difference_m": difference,
                 }
             )
@@ -81,13 +82,14 @@ def scenario_rows(scene: Scene, index: int, number: int) -> list[Row]:
 
 
 def table1(runs: "pl.DataFrame") -> list[dict[str, Any]]:
-    """Table 1: 2RMS over all epochs of all runs, the spread of single runs, and the paper's figure.
+    """Table 1: 2RMS over all epochs of all runs, the spread of single runs, what was expected, the paper's figure.
 
     Returns
     -------
     list of dict
         ``scenario, method, horizontal_2rms_m, vertical_2rms_m, velocity_2rms_mps``; for each of the three also
-        ``<name>_spread`` (standard deviation between runs), ``paper_<name>``, and ``runs``.
+        ``<name>_spread`` (standard deviation between runs), ``expected_<name>`` (from the
+        estimator's own covariances), ``paper_<name>``, and ``runs``.
     """
     rows = runs.filter(runs["rate_noise_mps"] == RATE_NOISES[0])
     table = []
@@ -99,9 +101,43 @@ def table1(runs: "pl.DataFrame") -> list[dict[str, Any]]:
                 values = some[name].to_numpy()
                 entry[name] = float(np.sqrt((values**2).mean()))
                 entry[f"{name}_spread"] = float(values.std(ddof=1)) if len(values) > 1 else 0.0
+                entry[f"expected_{name}"] = float(np.sqrt((some[f"expected_{name}"].to_numpy() ** 2).mean()))
                 entry[f"paper_{name}"] = PAPER_TABLE[name]["lsq" if method == "lsq" else "filter"][index - 1]
             table.append(entry)
     return table
+
+
+def sensitivity(
+    psds: Sequence[float] = (0.01, 0.1, 1.0, JERK_PSD, 100.0), runs: int = 10, seed: int | None = None
+) -> list[dict[str, Any]]:
+    """What another process noise would have given: nothing here was chosen by it.
+
+    Returns
+    -------
+    list of dict
+        ``jerk_psd``; ``horizontal_2rms_m``, ``vertical_2rms_m``, ``velocity_2rms_mps`` of S3EKF (a list, scenarios
+        1..4); ``velocity_gain`` (a list, rate noises of the paper, all scenarios together).
+    """
+    scenes = [Scene(load_scenario(name), seed) for name in SCENARIOS]
+    squares = np.zeros((len(psds), len(scenes), len(RATE_NOISES), len(SIZES)))
+    lsq = np.zeros((len(scenes), len(RATE_NOISES)))
+    for number in range(runs):
+        for i, scene in enumerate(scenes):
+            for j, noise in enumerate(RATE_NOISES):
+                sky = scene.run(number, paper_config("s3ekf"), noise)
+                first = int(np.searchsorted(sky.epochs.t_ns, sky.epochs.t_ns[0] + round(SETTLED_S * NS)))
+                lsq[i, j] += error_sizes(solve_paper(sky, "lsq"), sky, first)["velocity_2rms_mps"] ** 2 / runs
+                for k, psd in enumerate(psds):
+                    sizes = error_sizes(solve_paper(sky, "s3ekf", jerk_psd=psd), sky, first)
+                    squares[k, i, j] += np.array([sizes[name] for name in SIZES]) ** 2 / runs
+    out = []
+    for k, psd in enumerate(psds):
+        entry: dict[str, Any] = {"jerk_psd": psd}
+        for index, name in enumerate(SIZES):
+            entry[name] = np.sqrt(squares[k, :, 0, index]).tolist()
+        entry["velocity_gain"] = (1.0 - np.sqrt(squares[k, :, :, 2].sum(axis=0) / lsq.sum(axis=0))).tolist()
+        out.append(entry)
+    return out
 
 
 def max_difference(runs: "pl.DataFrame") -> float:

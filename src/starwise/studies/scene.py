@@ -153,8 +153,8 @@ class Scene:
             drift_mps=C_LIGHT * paths.sat_drift[at],
             code_m=obs.code_m - truth.rows.code_noise_m,
             rate_mps=-wavelength * obs.doppler_hz - truth.rows.rate_noise_mps,
-            cn0_dbhz=obs.cn0_dbhz,
-            freq_hz=C_LIGHT / wavelength,
+            cn0_dbhz=np.full(n, np.nan),  # the noise is of one known size, the air is empty: nothing uses them
+            freq_hz=np.full(n, np.inf),
             sigma_sat_m=np.zeros(n),
             noise_factor=np.ones(n),
             system=(obs.sv >> 8).astype(np.int64),
