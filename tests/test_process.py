@@ -144,7 +144,9 @@ def test_presets_are_complete_and_configuration_overrides_them():
     changed = motion_from(
         RunConfig(dynamics="vehicle", process={"acceleration_sigma_mps2": 2.0, "acceleration_tau_s": 9.0})
     )
-    assert (changed.horizontal, changed.vertical, changed.tau_s, changed.acceleration_sigma0) == (4.0, 4.0, 9.0, 2.0)
+    # vertical keeps the proportion of the preset, (0.3 / 1.0)^2
+    got = (changed.horizontal, changed.vertical, changed.tau_s, changed.acceleration_sigma0)
+    assert got == pytest.approx((4.0, 0.36, 9.0, 2.0))
     for model, nk in (("static", 3), ("velocity", 6), ("acceleration", 9), ("singer", 9)):
         assert motion_from(RunConfig(dynamics="aircraft", process={"model": model})).nk == nk
     assert motion_from(RunConfig(dynamics="static", process={"position_psd_m2_per_s": 0.0})).horizontal == 0.0

@@ -128,6 +128,10 @@ def solve(
         from starwise.report.text import solve_text
 
         _print(solve_text(solution.provenance, output, time.perf_counter() - began))
+    if not solution.has_position.any():
+        # The files are written and their ledger says why; a script must still be able to tell.
+        sys.stderr.write("starwise: no epoch could be solved; the ledger says why\n")
+        raise typer.Exit(1)
 
 
 def _settings(pairs: list[str]) -> dict[str, Any]:

@@ -167,7 +167,7 @@ class RunConfig(Checked):
     """Satellites never to be used, like ``["G05", "R12"]``."""
     fde: bool = True
     """Least squares: fault detection and exclusion by residuals."""
-    gate_probability: Probability = 1e-3
+    gate_probability: Annotated[float, Range(0.0, 0.5, open_low=True)] = 1e-3
     """Chance that the filter's gate refuses a satellite whose errors are as modelled."""
     post: bool = True
     """Allow broadcast records transmitted after the epoch (nearest in time); false: as in the field."""
@@ -192,6 +192,10 @@ class RunConfig(Checked):
         for name in self.exclude:
             sv_id(name)
         for system, names in (self.signals or {}).items():
+            if not names:
+                raise StarwiseError(
+                    f"'signals.{system}' is empty", found="[]", wanted="signals, or leave the system out"
+                )
             if len(system) != 1 or system not in SYSTEMS:
                 raise StarwiseError("signals: not a system", found=system, wanted=f"a letter of {SYSTEMS}")
             for name in names:

@@ -159,6 +159,8 @@ def parse_time(text: str) -> int:
     try:
         if ":" in text and "-" not in text and "T" not in text and text.count(":") == 1:
             week, tow = text.split(":")
+            if not 500 <= int(week) <= 9999 or not 0.0 <= float(tow) <= WEEK_S:
+                raise ValueError  # 12:00 is a time of day without a day, not week 12
             return from_week_tow(int(week), float(tow))
         utc = text.endswith("Z")
         when = dt.datetime.fromisoformat(text.removesuffix("Z"))

@@ -39,7 +39,7 @@ def sv_name(sv: int) -> str:
 
 def signal_id(name: str) -> int:
     """Identifier of a signal named by band and attribute (``1C``)."""
-    if len(name) != 2 or not name.isascii() or not name[0].isdigit() or not name[1].isalpha():
+    if len(name) != 2 or not name.isascii() or not name[0].isdigit() or not name[1].isupper():
         raise StarwiseError("not a signal", found=name, wanted="band and attribute as in RINEX, like 1C")
     return int(name[0]) << 8 | ord(name[1])
 
@@ -95,10 +95,10 @@ def frequency(system: int, band: int, channel: int | None = None) -> float:
     band : int
         RINEX band digit.
     channel : int, optional
-        GLONASS frequency channel k, -7..6 (needed for G1 and G2 only).
+        GLONASS frequency channel k, -7..6, up to 13 before 2005 (needed for G1 and G2 only).
     """
     if system == SYS_R and band in (1, 2):
-        if channel is None or not -7 <= channel <= 6:
+        if channel is None or not -7 <= channel <= 13:
             return float("nan")
         f0, step = GLONASS_L1 if band == 1 else GLONASS_L2
         return f0 + channel * step

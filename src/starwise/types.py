@@ -50,6 +50,8 @@ class ObservationHeader:
     """Antenna reference point above the marker: height, east, north, m."""
     interval_s: float | None = None
     time_system: str = "GPS"
+    cn0_unit: str = ""
+    """SIGNAL STRENGTH UNIT as the header has it; empty where it is silent (RINEX 2 and many others)."""
     clock_applied: bool = False
     """RCV CLOCK OFFS APPL: the receiver's clock offset is already in the observations and epochs."""
     signals: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -127,8 +129,8 @@ class Observations:
     ) -> "Observations":
         """Observations with epochs in [start, end] and, if asked, only those on multiples of ``interval_s``.
 
-        An epoch counts as on a multiple when its tag, rounded to 10 ms, is (receivers whose clock runs free tag
-        epochs a few ms off the grid).
+        An epoch counts as on a multiple when its tag is within 5 ms of it (receivers whose clock runs free tag
+        epochs a few ms off the grid), or within a quarter of an interval shorter than 20 ms.
         """
         keep = np.ones(self.n_epochs, dtype=bool)
         if start_ns is not None:
@@ -136,12 +138,12 @@ class Observations:
         if end_ns is not None:
             keep &= self.t_ns <= end_ns
         if interval_s is not None:
-            tick = 10_000_000
             step = round(interval_s * 1e9)
-            if step < tick:
+            tick = min(10_000_000, step // 2)
+            if step < 10_000_000:
                 raise StarwiseError("interval too short", found=f"{interval_s} s", wanted="at least 0.01 s")
-            rounded = (self.t_ns + tick // 2) // tick * tick
-            keep &= rounded % step < tick
+            # Distance to the nearest multiple, within 5 ms either way: tags drift, and steps need not be round.
+            keep &= (self.t_ns + tick // 2) % step < tick
         return self if keep.all() else self._epochs(keep)
 
     def _epochs(self, keep: NDArray[np.bool_]) -> "Observations":
@@ -363,6 +365,8 @@ class Ephemeris(Protocol):
 
     channels: dict[int, int]
     """GLONASS frequency channel by satellite identifier, as far as known."""
+    notes: tuple[str, ...]
+    """What was decided about the input that a user should know."""
 
     def states(self, t_rx_ns: I8, sv: I2, code_m: F8, post: bool = False) -> SatStates:
         """Satellite states at the transmission time of pseudoranges.

@@ -103,10 +103,11 @@ def _aligned(
 
 
 def _nees(difference: F8, cov: F8) -> F8:
-    """Normalised error squared; NaN where the covariance is missing or not positive definite."""
+    """Normalised error squared; NaN where the covariance is missing, inf where it is singular."""
     nees = np.full(len(difference), np.nan)
     usable = np.flatnonzero(np.isfinite(cov).all(axis=(1, 2)) & np.isfinite(difference).all(axis=1))
     spread = np.linalg.eigvalsh(cov[usable])
+    nees[usable] = np.inf  # a covariance that claims certainty in some direction is wrong about it
     usable = usable[spread[:, 0] > 1e-14 * spread[:, 2]]  # below: singular to rounding
     solved = np.linalg.solve(cov[usable], difference[usable][:, :, None])[:, :, 0]
     nees[usable] = np.einsum("ij,ij->i", difference[usable], solved)
@@ -183,7 +184,7 @@ def assess(
 def _statistics(solution: Solution, matched: Matched, which: Mask, vertical: bool) -> dict[str, Any]:
     error, nees = matched.error_n[which], matched.nees[which]
     at = matched.at[which]
-    known = np.isfinite(nees)
+    known, stated = np.isfinite(nees), ~np.isnan(nees)
     length_2d, length_3d = np.hypot(error[:, 0], error[:, 1]), np.linalg.norm(error, axis=1)
     trace = np.trace(solution.cov_pos[at], axis1=1, axis2=2)
     sigma_3d = np.sqrt(trace[np.isfinite(trace) & (trace >= 0.0)])
@@ -200,7 +201,7 @@ def _statistics(solution: Solution, matched: Matched, which: Mask, vertical: boo
         "rms_3d_m": value(lambda: np.sqrt(np.mean(length_3d**2)), needs_height=True),
         "p95_2d_m": value(lambda: np.percentile(length_2d, 95.0)),
         "p95_3d_m": value(lambda: np.percentile(length_3d, 95.0), needs_height=True),
-        "coverage_95": value(lambda: np.mean(nees[known] <= CHI2_3_95), needs_height=True, absent=not known.any()),
+        "coverage_95": value(lambda: np.mean(nees[stated] <= CHI2_3_95), needs_height=True, absent=not stated.any()),
         "nees_mean": value(lambda: nees[known].mean(), needs_height=True, absent=not known.any()),
         "sigma_3d_mean_m": value(lambda: sigma_3d.mean(), absent=not len(sigma_3d)),
     }

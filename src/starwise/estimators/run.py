@@ -69,7 +69,7 @@ def solve_run(
         nis=ep.nis,
         dof=ep.dof,
         ledger=make_ledger(obs, prepared, out),
-        provenance={"notes": list(prepared.notes)},
+        provenance={"notes": [*prepared.notes, *_white_note(config)]},
     )
     say("done", 1.0)
     return solution
@@ -81,6 +81,15 @@ def _estimate(prepared: Prepared, config: RunConfig) -> tuple[EpochOut, RowModel
     from starwise.estimators.filter import run_filter
 
     return run_filter(prepared, config)
+
+
+def _white_note(config: RunConfig) -> tuple[str, ...]:
+    if config.method == "lsq" or config.error_model != "white":
+        return ()
+    return (
+        "errors are taken as white, and real ones last for minutes: the filter's sigmas are smaller than its errors, "
+        "the more so the higher the rate",
+    )
 
 
 def make_ledger(obs: Observations, prepared: Prepared, out: RowModel) -> dict[str, NDArray[Any]]:

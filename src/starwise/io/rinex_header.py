@@ -74,6 +74,7 @@ class Header:
     antenna_hen: tuple[float, float, float] = (0.0, 0.0, 0.0)
     interval_s: float | None = None
     time_system: str = ""
+    cn0_unit: str = ""
     clock_applied: bool = False
 
     def public(self, signals: dict[str, tuple[str, ...]]) -> ObservationHeader:
@@ -87,6 +88,7 @@ class Header:
             antenna_hen=self.antenna_hen,
             interval_s=self.interval_s,
             time_system=self.time_system,
+            cn0_unit=self.cn0_unit,
             clock_applied=self.clock_applied,
             signals=signals,
         )
@@ -263,6 +265,8 @@ def _simple_line(header: Header, label: str, text: str) -> None:
         header.interval_s = interval if 0.0 < interval < 1e6 else None
     elif label == "TIME OF FIRST OBS":
         header.time_system = text[43:60].strip(" 0123456789.").upper()
+    elif label == "SIGNAL STRENGTH UNIT":
+        header.cn0_unit = text[:20].strip()
     elif label == "RCV CLOCK OFFS APPL":
         header.clock_applied = text[:6].strip() == "1"
     elif label == "GLONASS SLOT / FRQ #":

@@ -124,7 +124,7 @@ def select_signals(
                 continue
             first = _best(start, i, sv, sig, rank, row_status)
             if first < 0:
-                s_status[k] = ROW_NOT_SELECTED
+                s_status[k] = ROW_NO_PAIR if pairs else ROW_NOT_SELECTED
                 continue
             second = -1
             if pairs:

@@ -12,6 +12,7 @@ import numpy as np
 
 from starwise.config import RunConfig
 from starwise.constants import C_LIGHT
+from starwise.errors import StarwiseError
 from starwise.kernels.process import ACCELERATION, SINGER, STATIC, VELOCITY, Process, motion
 from starwise.types import F8
 
@@ -124,10 +125,30 @@ PRESETS: Final[dict[str, Motion]] = {
 
 
 def motion_from(config: RunConfig) -> Motion:
-    """Motion model of a configuration: the preset of `dynamics`, with what `process` says instead."""
+    """Motion model of a configuration: the preset of `dynamics`, with what `process` says instead.
+
+    Raises
+    ------
+    StarwiseError
+        `process` has a number that the model has no use for.
+    """
     m = PRESETS[config.dynamics]
     p = config.process
     model = p.model or m.model
+    of_model = {
+        "position_psd_m2_per_s": "static",
+        "acceleration_psd_m2_per_s3": "velocity",
+        "jerk_psd_m2_per_s5": "acceleration",
+        "acceleration_sigma_mps2": "singer",
+        "acceleration_tau_s": "singer",
+    }
+    for key, owner in of_model.items():
+        if getattr(p, key) is not None and owner != model:
+            raise StarwiseError(
+                f"'process.{key}' belongs to another process model",
+                found=f"model {model} (dynamics {config.dynamics})",
+                wanted=f"process.model = {owner}",
+            )
     if model != m.model:
         # Another model than the preset's: defaults of the preset that has it, or of a car's jerk.
         fallback = {
@@ -147,7 +168,9 @@ def motion_from(config: RunConfig) -> Motion:
         "singer": None if p.acceleration_sigma_mps2 is None else p.acceleration_sigma_mps2**2,
     }[model]
     if strength is not None:
-        m = replace(m, horizontal=strength, vertical=strength)
+        # One number is given: the horizontal one; the vertical keeps the preset's proportion to it.
+        share = m.vertical / m.horizontal if m.horizontal > 0.0 else 1.0
+        m = replace(m, horizontal=strength, vertical=strength * share)
     if model == "singer":
         m = replace(
             m,

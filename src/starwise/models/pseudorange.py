@@ -43,6 +43,7 @@ from starwise.kernels.rangemodel import (
     Rows,
 )
 from starwise.models.select import select
+from starwise.signals import signal_name
 from starwise.types import F8, U1, Ephemeris, IonosphereModel, Observations, SatStates, Sightings
 
 _ROW_OF_SAT = np.zeros(16, dtype=np.uint8)
@@ -63,10 +64,10 @@ EPHEMERIS_SIGMA_M = np.array([0.8, 2.5, 0.4, 1.2, 1.0, 2.0, 4.0])
 """Orbit and clock error of broadcast ephemerides in the line of sight as measured against precise products, 1 sigma m,
 G R E C J I S (Montenbruck, Steigenberger, Hauschild, "Multi-GNSS signal-in-space range error assessment", Adv. Space
 Res. 61, 2018, and their later tables; geostationary and old satellites counted in)."""
-EPHEMERIS_BEST_CLAIM_M = np.array([2.5, 4.0, 3.2, 2.5, 2.5, 2.5, 4.0])
+EPHEMERIS_BEST_CLAIM_M = np.array([2.5, 5.0, 3.2, 2.5, 2.5, 2.5, 5.0])
 """Claims up to here, m, are the best index that a system broadcasts (URA 0: 2.4 m, IS-GPS-200N 20.3.3.3.1.3;
-SISA 3.12 m, the only value that Galileo uses): bounds for integrity, far above the real error.
-Larger claims are believed."""
+SISA 3.12 m, the only value that Galileo uses; 5 m stands for none): bounds for integrity, far above the real error.
+What a claim, or the age of a record, has beyond that is added in variance."""
 CODE_SIGMA_M = {SYS_R: 0.8}
 """Code noise and multipath at the zenith and 45 dB-Hz, m; 0.4 m elsewhere. GLONASS chips are twice as long as those of
 GPS C/A (0.511 against 1.023 Mchip/s)."""
@@ -131,6 +132,21 @@ def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel
     sigma = np.where(unknown_delay, np.hypot(sigma, UNKNOWN_GROUP_DELAY_SIGMA_M), sigma)
     clock_names, clock = _clocks(s, status)
     options, notes = model_options(config, ionosphere)
+    notes = [*ephemeris.notes, *notes]
+    cn0 = s.cn0_dbhz
+    if not _is_dbhz(obs.header.cn0_unit, cn0[use]):
+        cn0 = np.full(len(cn0), np.nan)
+        notes.append("signal strengths are not in dB-Hz: weights from elevation alone")
+    if unknown_delay[use].any():
+        which = sorted(
+            {
+                f"{SYSTEMS[v >> 8]} {signal_name(int(g))}"
+                for v, g in set(
+                    zip(s.sv[use][unknown_delay[use]].tolist(), s.sig[use][unknown_delay[use]].tolist(), strict=True)
+                )
+            }
+        )
+        notes.append(f"group delays not known of {', '.join(which)}: taken as 0, sigmas widened by 3 m")
     rows = Rows(
         sat_pos=states.pos_e,
         sat_vel=states.vel_e,
@@ -138,7 +154,7 @@ def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel
         drift_mps=C_LIGHT * states.drift,
         code_m=s.code_m,
         rate_mps=s.rate_mps,
-        cn0_dbhz=s.cn0_dbhz,
+        cn0_dbhz=cn0,
         freq_hz=s.freq_hz,
         sigma_sat_m=sigma,
         noise_factor=s.noise_factor,
@@ -147,6 +163,18 @@ def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel
         status=status,
     )
     return Prepared(s, states, delay, row_status, rows, Epochs(s.t_ns, s.offsets), options, clock_names, tuple(notes))
+
+
+def _is_dbhz(unit: str, values: F8) -> bool:
+    """Whether signal strengths can be dB-Hz: the header does not say otherwise and their middle is a receiver's.
+
+    Tracking loops lose signals below about 20 dB-Hz, and nothing arrives above 60. RINEX 2 leaves the unit of S1 and
+    S2 to the receiver.
+    """
+    known = values[np.isfinite(values)]
+    if unit.strip() and unit.strip().upper().replace("-", "").replace("_", "") != "DBHZ":
+        return False
+    return len(known) == 0 or 20.0 <= float(np.median(known)) <= 65.0
 
 
 def _scatter(found: SatStates, use: NDArray[np.intp], n: int) -> SatStates:
@@ -175,9 +203,10 @@ def _scatter(found: SatStates, use: NDArray[np.intp], n: int) -> SatStates:
 
 def _ephemeris_sigma(claim_m: F8, system: NDArray[np.int16]) -> F8:
     """1-sigma range error of the ephemeris, m, out of what it claims of itself (NaN: nothing)."""
-    believed = np.isfinite(claim_m) & (claim_m > EPHEMERIS_BEST_CLAIM_M[system])
-    small = np.isfinite(claim_m) & (claim_m < EPHEMERIS_SIGMA_M[system])
-    return np.where(believed | small, claim_m, EPHEMERIS_SIGMA_M[system])
+    best, real = EPHEMERIS_BEST_CLAIM_M[system], EPHEMERIS_SIGMA_M[system]
+    claim = np.where(np.isfinite(claim_m), claim_m, best)
+    excess = np.maximum(claim**2 - best**2, 0.0)
+    return np.where(claim < real, claim, np.sqrt(real**2 + excess))
 
 
 def _clocks(s: Sightings, status: U1) -> tuple[tuple[str, ...], NDArray[np.int64]]:
