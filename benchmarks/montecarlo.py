@@ -17,11 +17,11 @@ import time
 import numpy as np
 
 from starwise.constants import C_LIGHT, OMEGA_E_GPS
-from starwise.models.process import clocks_from, matrices, motion_from
+from starwise.models.process import clocks_from, matrices
 from starwise.sim.scenario import load_scenario
-from starwise.studies.accuracy_runs import AccuracyTask
+from starwise.studies.accuracy_runs import AccuracyTask, natural_config
 from starwise.studies.montecarlo import run_many
-from starwise.studies.s3ekf_filter import paper_config, solve_paper
+from starwise.studies.s3ekf_filter import paper_config, paper_motion, solve_paper
 from starwise.studies.scene import Scene, Sky
 
 SCENARIO = "s3ekf-3-turn"
@@ -30,7 +30,7 @@ SAGNAC = OMEGA_E_GPS / C_LIGHT
 
 def own(runs: int, workers: int | None = None) -> float:
     scenario = load_scenario(SCENARIO)
-    task = AccuracyTask(scenario, scenario.seed, ("s3ekf",), paper_config("s3ekf"))
+    task = AccuracyTask(scenario, scenario.seed, ("s3ekf",), natural_config(scenario))
     with tempfile.TemporaryDirectory(prefix="starwise-bench-") as folder:
         began = time.perf_counter()
         run_many(task, runs, folder, workers=workers)
@@ -77,7 +77,7 @@ def filterpy_run(sky: Sky, start: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     from filterpy.kalman import ExtendedKalmanFilter
 
     config = paper_config("ekf")
-    Phi, Q = matrices(motion_from(config), clocks_from(config), 2, 1.0)
+    Phi, Q = matrices(paper_motion(), clocks_from(config), 2, 1.0)
     pos = np.empty((len(sky.epochs.t_ns), 3))
     f = None
     for e, (a, b) in enumerate(itertools.pairwise(sky.epochs.offsets)):

@@ -17,12 +17,12 @@ from typing import Final, Literal
 
 import numpy as np
 
-from starwise.config import ProcessNoise, RunConfig
+from starwise.config import RunConfig
 from starwise.estimators.filter import filter_options
 from starwise.estimators.least_squares import empty_epochs, spp_options
 from starwise.kernels.filter_run import filter_run
 from starwise.kernels.spp import EpochOut
-from starwise.models.process import clocks_from, motion_from, process_numbers
+from starwise.models.process import Motion, clocks_from, process_numbers
 from starwise.models.pseudorange import empty_row_model
 from starwise.studies.scene import Sky, solve_rows
 from starwise.types import F8
@@ -35,8 +35,13 @@ Method = Literal["lsq", "ekf", "s3ekf"]
 METHODS: Final[tuple[Method, ...]] = ("lsq", "ekf", "s3ekf")
 
 
-def paper_config(method: Method, jerk_psd: float = JERK_PSD) -> RunConfig:
-    """Configuration of the paper's filter or of its least squares."""
+def paper_motion(jerk_psd: float = JERK_PSD) -> Motion:
+    """Process model of the paper's filter: white jerk, the same on all axes."""
+    return Motion("acceleration", jerk_psd, jerk_psd, velocity_sigma0=300.0, acceleration_sigma0=1.0)
+
+
+def paper_config(method: Method) -> RunConfig:
+    """What the paper's filter and its least squares share with ``starwise solve``: systems, no corrections."""
     return RunConfig(
         method=method,
         systems="GC",
@@ -45,7 +50,6 @@ def paper_config(method: Method, jerk_psd: float = JERK_PSD) -> RunConfig:
         ionosphere="none",
         troposphere="none",
         fde=False,
-        process=ProcessNoise(model="acceleration", jerk_psd_m2_per_s5=jerk_psd),
     )
 
 
@@ -72,10 +76,10 @@ def solve_paper(
     jerk_psd : float
         Process noise, m^2/s^5.
     """
-    config = paper_config(method, jerk_psd)
+    config = paper_config(method)
     if method == "lsq":
         return solve_rows(sky, config)[0]
-    motion, clocks = motion_from(config), clocks_from(config)
+    motion, clocks = paper_motion(jerk_psd), clocks_from(config)
     options = filter_options(config, motion, clocks)
     if not gated:
         options = options._replace(gate1=np.inf, gate2=np.inf)

@@ -10,11 +10,11 @@ from starwise.constants import NS, ROW_LOW_ELEVATION, ROW_USED
 from starwise.estimators import ekf, s3ekf
 from starwise.kernels.filter_epoch import linearise
 from starwise.kernels.rangemodel import RowModel
-from starwise.models.process import clocks_from, matrices, motion_from
+from starwise.models.process import clocks_from, matrices
 from starwise.models.pseudorange import empty_row_model
 from starwise.signals import sv_name
 from starwise.sim.scenario import load_scenario
-from starwise.studies.s3ekf_filter import SCENARIOS, Method, paper_config, solve_paper
+from starwise.studies.s3ekf_filter import SCENARIOS, Method, paper_config, paper_motion, solve_paper
 from starwise.studies.scene import Scene, Sky
 from starwise.types import F8, I8, Layout, Linear, State
 
@@ -86,7 +86,7 @@ def bad_start(sky: Sky, error_m: float) -> list[dict[str, Any]]:
 def _literal(sky: Sky, form: Method, start: tuple[F8, F8], epochs: int) -> F8:
     """Positions by the equations of the paper as they stand, from the generic estimators, (epochs, 3)."""
     config = paper_config(form)
-    motion, clocks, nc = motion_from(config), clocks_from(config), sky.n_clocks
+    motion, clocks, nc = paper_motion(), clocks_from(config), sky.n_clocks
     names = [*motion.names, *(f"clk.{k}" for k in range(nc)), *(f"drift.{k}" for k in range(nc))]
     state = State(int(sky.epochs.t_ns[0]), Layout(tuple(names)), start[0].copy(), start[1].copy())
     model = empty_row_model(len(sky.rows.code_m))

@@ -20,7 +20,7 @@ from starwise.sim.clock import ReceiverClock
 from starwise.sim.run import Simulation, Simulator
 from starwise.sim.scenario import Scenario
 from starwise.sim.seeds import streams
-from starwise.types import F8, I2, BroadcastRecords
+from starwise.types import F8, I2, BroadcastRecords, IonosphereModel
 
 ALL_SEEN: Final = -1.6
 """Elevation mask, rad, below every satellite: the simulator has applied the scenario's mask already."""
@@ -162,7 +162,7 @@ class Scene:
             status=np.full(n, ROW_USED, dtype=np.uint8),
         )
         epochs, n_clocks = Epochs(obs.t_ns, obs.offsets), len(letters)
-        sky = Sky(epochs, rows, _model(self.scenario, None), n_clocks, truth.pos_e, truth.vel_e, obs.sv)
+        sky = Sky(epochs, rows, _model(self.scenario), n_clocks, truth.pos_e, truth.vel_e, obs.sv)
         key, which = np.unique(obs.sv.astype(np.int64) << 16 | obs.sig.astype(np.int64), return_inverse=True)
         names = tuple(f"{sv_name(int(k >> 16))}/{signal_name(int(k & 0xFFFF))}" for k in key)
         return sky, epoch, names, which.astype(np.int64)
@@ -189,12 +189,9 @@ def _white(rng: object, source: str, names: tuple[str, ...], n: int) -> F8:
     return np.array([rng(f"{source}/{name}").standard_normal(n) for name in names])
 
 
-def _model(scenario: Scenario, config: RunConfig | None) -> ModelOptions:
-    """The measurement model: the noise where its size is known, otherwise what the configuration says."""
-    from starwise.types import IonosphereModel
-
-    bare = RunConfig(ionosphere="none", troposphere="none") if config is None else config
-    options = model_options(bare, IonosphereModel())[0]
+def _model(scenario: Scenario) -> ModelOptions:
+    """The measurement model of a scenario of white noise: its sizes, and nothing to correct."""
+    options = model_options(RunConfig(ionosphere="none", troposphere="none"), IonosphereModel())[0]
     noise = scenario.receiver.noise
     return options._replace(
         mask_rad=ALL_SEEN, fixed_code_sigma_m=max(noise.code_m, 1e-3), fixed_rate_sigma_mps=max(noise.rate_mps, 1e-4)
