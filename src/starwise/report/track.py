@@ -67,7 +67,7 @@ def _track(solution: Solution, keep: NDArray[np.bool_], truth: Truth | None, ori
         *(f'<circle class="flag" cx="{x:.1f}" cy="{y:.1f}" r="2"/>' for x, y in place(enu[flagged])),
         f'<path class="axis" d="M{_MARGIN:g} {_TRACK - 30:g}H{x1:.1f}"/>',
         f'<text x="{_MARGIN:g}" y="{_TRACK - 36:g}">{length:g} m</text>',
-        f'<text x="{_WIDTH - 250:g}" y="24">grey: truth, blue: estimate, red: flagged</text>',
+        f'<text text-anchor="end" x="{_WIDTH - 16:g}" y="24">grey: truth, blue: estimate, red: flagged</text>',
     ]
 
 
@@ -79,7 +79,7 @@ def _errors(solution: Solution, truth: Truth) -> list[str]:
     C = rotations_ne_enu(llh[:, 0], llh[:, 1])
     cov = C @ solution.cov_pos[matched.at] @ C.transpose(0, 2, 1)
     t_s = (solution.t_ns[matched.at] - solution.t_ns[0]) / 1e9
-    x = _MARGIN + t_s / max(float(t_s[-1]), 1.0) * (_WIDTH - 1.5 * _MARGIN)
+    x = _MARGIN + t_s / max(float(t_s[-1]), 1.0) * (_WIDTH - 1.9 * _MARGIN)
     out: list[str] = []
     for i, name in enumerate(("east", "north", "up")):
         error, band = matched.error_n[:, i], 2 * np.sqrt(cov[:, i, i])
@@ -96,7 +96,7 @@ def _errors(solution: Solution, truth: Truth) -> list[str]:
             f'<path class="axis" d="M{_MARGIN:g} {zero:g}H{x[-1]:.1f}"/>',
             _line(at(error), "est"),
             f'<text x="8" y="{zero + 4:g}">{name}</text>',
-            f'<text x="{x[-1] + 2:.1f}" y="{zero - limit * unit + 8:.1f}">{limit:.1f} m</text>',
+            f'<text text-anchor="end" x="{_WIDTH - 6:g}" y="{zero - limit * unit + 8:.1f}">{limit:.1f} m</text>',
         ]
     out.append(
         f'<text x="{_MARGIN:g}" y="{_TRACK + 3 * _PANEL + 34:g}">errors over {t_s[-1]:.0f} s; '
