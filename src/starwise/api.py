@@ -14,6 +14,7 @@ from starwise.errors import StarwiseError
 from starwise.io.inputs import Inputs, peek, sort_inputs
 from starwise.io.results import prepare_directory, read_solution, write_results
 from starwise.types import BroadcastRecords, Ephemeris, IonosphereModel, Observations, Problem, Solution, Truth
+from starwise.warmup import COMPILING, ensure_warm
 
 PathLike = str | Path
 Progress = Callable[[str, float], None]
@@ -66,6 +67,7 @@ def solve(
     if output is not None:
         prepare_directory(output)
     say = progress or (lambda _what, _fraction: None)
+    ensure_warm(lambda: say(COMPILING, 0.0))
     with ThreadPoolExecutor(1) as pool:
         records = pool.submit(_input_records, inputs)
         solution = _solve(inputs, chosen, say, records)

@@ -120,7 +120,7 @@ def solve(
     from starwise.config import load_config
 
     chosen = load_config(config, options)
-    with _Progress(quiet or as_json) as progress:
+    with _Progress(quiet or as_json, quiet) as progress:
         solution = api.solve(*files, ephemeris=ephemeris, clock=clock, config=chosen, output=output, progress=progress)
     if as_json:
         _print_json({**solution.provenance, "directory": str(output)})
@@ -240,6 +240,19 @@ def demo(
         _print_json(outcome.record)
     else:
         _print(outcome.text)
+
+
+@app.command()
+def warmup() -> None:
+    """Compile all kernels now; else the first solution does, for most of a minute."""
+    from starwise.kernels._jit import cache_root
+    from starwise.warmup import compile_kernels
+
+    began = time.perf_counter()
+    failed = compile_kernels()
+    if failed:
+        raise StarwiseError("kernels not compiled ahead, but at their first use", found="; ".join(failed))
+    _print(f"kernels compiled in {time.perf_counter() - began:.0f} s, kept in {cache_root()}")
 
 
 cli_sim.register(app)

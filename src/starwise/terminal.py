@@ -11,9 +11,14 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and no
 
 
 class Progress:
-    """Progress bar on the error stream if that is a terminal, else silence."""
+    """Progress bar on the error stream if that is a terminal, else silence.
 
-    def __init__(self, silent: bool) -> None:
+    A line there says that kernels are compiled, terminal or not, unless ``quiet``: a minute without a word looks like
+    a fault.
+    """
+
+    def __init__(self, silent: bool, quiet: bool = False) -> None:
+        self._quiet = quiet
         self._bar: Any = None
         if not silent and sys.stderr.isatty():
             from rich.console import Console
@@ -34,6 +39,15 @@ class Progress:
             self._bar.stop()
 
     def _say(self, what: str, fraction: float) -> None:
+        if what == "compiling" and not self._quiet:
+            from starwise.warmup import ABOUT_S
+
+            line = f"starwise: compiling kernels once, about {ABOUT_S} s"
+            if self._bar is None:
+                sys.stderr.write(line + "\n")
+                sys.stderr.flush()
+            else:
+                self._bar.console.print(line, highlight=False)
         if self._bar is not None:
             self._bar.update(self._task, description=what, completed=fraction)
 

@@ -101,7 +101,8 @@ def cache_root() -> Path:
 
 
 @cache
-def _cache_dir(module: str) -> str:
+def cache_dir(module: str) -> str:
+    """Directory of the compiled code of a kernel module as it is now."""
     return str(cache_root() / f"{module}-{_sources_hash(module)}")
 
 
@@ -113,7 +114,7 @@ def njit(function: F) -> F:
     """
     config: Any = numba.config  # its attributes are made at run time
     before = config.CACHE_DIR
-    config.CACHE_DIR = _cache_dir(function.__module__.rpartition(".")[2])
+    config.CACHE_DIR = cache_dir(function.__module__.rpartition(".")[2])
     try:
         compiled: Any = numba.njit(cache=True, error_model="numpy", fastmath=FLAGS)(function)
     finally:

@@ -164,7 +164,8 @@ def filter_run(
                 running = False
                 ep.status[e] = EPOCH_NO_SOLUTION
                 continue
-        epoch_corrections(model, t_ns, rows, start, end, x[0], x[1], x[2], True, out)
+        known = x[0] == x[0]  # always; a literal True would be a type of its own, compiled once more
+        epoch_corrections(model, t_ns, rows, start, end, x[0], x[1], x[2], known, out)
         m = arrange(rows, out, start, end, work)
         if m > 0:
             align_clocks(options, rows, out, m, x, P, nk, nc, at, work)

@@ -1,0 +1,159 @@
+"""Kernels compiled ahead: when, by whom, that nothing is left to compile afterwards, and that failures are harmless."""
+
+import os
+import subprocess
+import sys
+import threading
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+import starwise
+from starwise import warmup
+from starwise.kernels import _jit
+from starwise.terminal import Progress
+
+DATA = Path(str(resources.files("starwise.demo"))) / "data"
+OBS, NAV = DATA / "demo_MO.rnx.gz", DATA / "demo_MN.rnx.gz"
+
+
+@pytest.fixture
+def cold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
+    """An empty cache, two cores, and a compilation that only takes notes; returns them."""
+    calls: list[tuple[str, ...]] = []
+
+    def compile_nothing(parts: tuple[str, ...]) -> list[str]:
+        calls.append(parts)
+        warmup.marker().write_text("")
+        return []
+
+    monkeypatch.delenv("STARWISE_NO_WARMUP", raising=False)
+    monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
+    monkeypatch.setattr(warmup, "_cores", lambda: 2)
+    monkeypatch.setattr(_jit, "cache_root", lambda: tmp_path)
+    monkeypatch.setattr(warmup, "compile_kernels", compile_nothing)
+    return calls
+
+
+def test_once_and_announced(cold: list[tuple[str, ...]]) -> None:
+    told: list[int] = []
+    for _ in range(3):
+        warmup.ensure_warm(lambda: told.append(1))
+    assert cold == [warmup.PARTS]
+    assert told == [1]
+
+
+@pytest.mark.parametrize("variable", ["STARWISE_NO_WARMUP", "NUMBA_DISABLE_JIT"])
+def test_switched_off(cold: list[tuple[str, ...]], variable: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(variable, "1")
+    warmup.ensure_warm()
+    assert cold == []
+
+
+def test_not_on_one_core(cold: list[tuple[str, ...]], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(warmup, "_cores", lambda: 1)
+    warmup.ensure_warm()
+    assert cold == []
+
+
+@pytest.mark.parametrize("executable", ["", "/opt/game/engine"])
+def test_a_program_that_embeds_python_is_not_started(
+    cold: list[tuple[str, ...]], executable: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "executable", executable)
+    warmup.ensure_warm()
+    assert cold == []
+
+
+def test_marker_follows_the_sources(cold: list[tuple[str, ...]], monkeypatch: pytest.MonkeyPatch) -> None:
+    before = warmup.marker()
+    monkeypatch.setattr(_jit, "cache_dir", lambda module: f"{module}-edited")
+    assert warmup.marker() != before
+    assert warmup.marker().parent == before.parent
+
+
+def test_every_kernel_of_a_solution_is_in_the_marker() -> None:
+    """The modules that name the marker reach all that the solution's kernels are compiled from."""
+    reached, waiting = {"_jit"}, list(warmup._MAIN)
+    while waiting:
+        name = waiting.pop()
+        if name not in reached:
+            reached.add(name)
+            text = (Path(_jit.__file__).parent / f"{name}.py").read_bytes()
+            waiting.extend(found.decode() for found in _jit._IMPORT.findall(text))
+    others = {"compressed", "lagrange", "precise", "rinex_obs2", "turns", "sim_format", "sim_orbits", "sim_receiver"}
+    names = {path.stem for path in Path(_jit.__file__).parent.glob("*.py")} - {"__init__"}
+    assert names - reached <= others
+
+
+def test_the_second_of_two_waits_for_the_first(cold: list[tuple[str, ...]]) -> None:
+    with warmup._alone():
+        second = threading.Thread(target=warmup.ensure_warm, daemon=True)
+        second.start()
+        second.join(0.3)
+        assert second.is_alive()
+        warmup.marker().write_text("")
+    second.join(5.0)
+    assert not second.is_alive()
+    assert cold == []
+
+
+def test_a_cache_that_cannot_be_written_is_no_error(
+    cold: list[tuple[str, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_jit, "cache_root", lambda: tmp_path / "absent")
+    warmup.ensure_warm()
+    assert cold == []
+
+
+def test_failures_are_told_and_not_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_jit, "cache_root", lambda: tmp_path)
+    failed = warmup.compile_kernels(("nonsense",))
+    assert failed == ["nonsense: KeyError: 'nonsense'"]
+    assert warmup.marker().exists()
+
+
+def test_announced_in_one_line_unless_quiet(capsys: pytest.CaptureFixture[str]) -> None:
+    for quiet in (True, False):
+        with Progress(True, quiet) as say:
+            say(warmup.COMPILING, 0.0)
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err == f"starwise: compiling kernels once, about {warmup.ABOUT_S} s\n"
+
+
+def test_solve_warms_up_after_it_has_checked_its_input(cold: list[tuple[str, ...]]) -> None:
+    with pytest.raises(starwise.StarwiseError, match="no ephemeris"):
+        starwise.solve(OBS)
+    assert cold == []
+    said: list[str] = []
+    starwise.solve(OBS, NAV, method="lsq", end="2026-03-21T12:20:10", progress=lambda what, _: said.append(what))
+    assert cold == [warmup.PARTS]
+    assert said[0] == warmup.COMPILING
+
+
+def _compiled(cache: Path) -> set[str]:
+    return {path.name for path in cache.rglob("*.nb[ci]")}
+
+
+@pytest.mark.slow
+def test_nothing_is_left_to_compile(tmp_path: Path) -> None:
+    """Both processes for real into an empty cache; then solutions of every method add no compiled function."""
+    environment = {**os.environ, "STARWISE_CACHE_DIR": str(tmp_path / "cache"), "STARWISE_NO_WARMUP": "1"}
+    environment.pop("NUMBA_DISABLE_JIT", None)
+
+    def run(code: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment, timeout=600
+        )
+        return done.stdout.strip()
+
+    assert run("from starwise.warmup import compile_kernels; print(compile_kernels())") == "[]"
+    compiled = _compiled(tmp_path / "cache")
+    assert len(compiled) > 100
+    run(
+        "import starwise\n"
+        f"for method in ('lsq', 'ekf', 's3ekf'):\n    starwise.solve({str(OBS)!r}, {str(NAV)!r}, method=method)"
+    )
+    assert _compiled(tmp_path / "cache") == compiled
