@@ -5,7 +5,7 @@ import pytest
 
 from skies import RECEIVER, options, sky
 from starwise.constants import EPOCH_NO_SOLUTION, EPOCH_OK, EPOCH_SUSPECT, ROW_EXCLUDED, ROW_USED
-from starwise.estimators.least_squares import chi_square_table, empty_epochs
+from starwise.estimators.least_squares import chi_square_table, empty_epochs, largest_residual_table
 from starwise.frames import geodetic_from_ecef
 from starwise.kernels.rangemodel import geodetic, range_los
 from starwise.kernels.spp import SppOptions, spp_run
@@ -14,6 +14,7 @@ from starwise.models.pseudorange import empty_row_model
 SPP = SppOptions(
     fde=True,
     chi2=chi_square_table(1e-3),
+    local=largest_residual_table(1e-3),
     max_gdop=30.0,
     max_sigma_m=25.0,
     max_excluded=0.4,

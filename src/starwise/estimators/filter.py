@@ -7,7 +7,7 @@ from starwise.estimators.least_squares import chi_square_table, empty_epochs, sp
 from starwise.kernels.filter_run import filter_run
 from starwise.kernels.filter_state import FilterOptions
 from starwise.kernels.rangemodel import Epochs, ModelOptions, RowModel, Rows
-from starwise.kernels.spp import EpochOut
+from starwise.kernels.spp import FILTER_RATES_IGNORED, EpochOut
 from starwise.models.process import Clocks, Motion, clocks_from, motion_from, process_numbers
 from starwise.models.pseudorange import Prepared, empty_row_model
 from starwise.types import F8
@@ -48,6 +48,17 @@ def run_filter(prepared: Prepared, config: RunConfig) -> tuple[EpochOut, RowMode
         Per epoch and per sighting.
     """
     return filter_rows(prepared.epochs, prepared.rows, prepared.options, len(prepared.clock_names), config)
+
+
+def filter_notes(ep: EpochOut) -> list[str]:
+    """What the filter decided about its input that a user should know."""
+    ignored = np.flatnonzero(ep.rates == FILTER_RATES_IGNORED)
+    if len(ignored) == 0:
+        return []
+    return [
+        f"Doppler contradicts code ranges that agree with each other: ignored from epoch {ignored[0] + 1} of "
+        f"{len(ep.rates)} on (sign or unit of the Doppler values?)"
+    ]
 
 
 def filter_rows(

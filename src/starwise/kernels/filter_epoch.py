@@ -131,7 +131,7 @@ def _update_satellites(
             options.gate1, options.gate2, work.a, work.b,
         )  # fmt: skip
         work.used[k] = bits
-        work.vo[k, 0], work.vo[k, 1], work.so[k, 0], work.so[k, 1] = v1, v2, s1, s2
+        work.vo[k, 0], work.vo[k, 1], work.so[k, 0], work.so[k, 1] = v1, v2 if r2 < np.inf else np.nan, s1, s2
         nis += q
         dof += (bits & 1) + (bits >> 1)
     mirror(P, n)
@@ -142,7 +142,7 @@ def _update_satellites(
 def update_epoch(
     options: FilterOptions, rows: Rows, out: RowModel, m: int, x: F8, P: F8, nk: int, nc: int, at: I8,
     x2: F8, P2: F8, work: Work,
-) -> tuple[float, int, int, bool]:  # fmt: skip
+) -> tuple[float, int, int, bool, int]:  # fmt: skip
     """Measurement update of one epoch with the rows in ``work.order``; x and P in place, row outputs written.
 
     If it moves the position by more than 20 m, it is done once more from the prediction with the rows linearised at
@@ -159,7 +159,10 @@ def update_epoch(
     agreed : bool
         More than half of the codes were used, and half of the rates where there are four or more (a receiver that
         moves under a static model shows in its rates first). Where five or more codes were used, a system of which
-        none was does not count: its clock stepped, and `activate_clocks` will see to it.
+        none was does not count: its clock stepped, and `activate_clocks` will see to it. Where there were five or
+        more codes and fewer than four were used, nothing says that these are the right ones.
+    n_clocks : int
+        Receiver clocks of the codes used.
     """
     n = nk + 2 * nc
     for i in range(n):
@@ -190,15 +193,17 @@ def update_epoch(
             n_used += 1
         else:
             out.status[i] = ROW_GATED
-    n_all = m
-    if n_used >= 5:
-        for c in range(len(at)):
-            count, any_used = 0, False
-            for k in range(m):
-                if rows.clock[work.order[k]] == c:
-                    count += 1
-                    if work.used[k] & USED_CODE:
-                        any_used = True
-            if not any_used:
-                n_all -= count
-    return nis, dof, n_used, 2 * n_used > n_all and (n_rates < 4 or 2 * n_rates_used >= n_rates)
+    n_all, n_clocks = m, 0
+    for c in range(len(at)):
+        count, any_used = 0, False
+        for k in range(m):
+            if rows.clock[work.order[k]] == c:
+                count += 1
+                if work.used[k] & USED_CODE:
+                    any_used = True
+        if any_used:
+            n_clocks += 1
+        elif n_used >= 5:
+            n_all -= count
+    agreed = 2 * n_used > n_all and (m < 5 or n_used >= 4) and (n_rates < 4 or 2 * n_rates_used >= n_rates)
+    return nis, dof, n_used, agreed, n_clocks

@@ -15,9 +15,26 @@ from starwise.kernels.filter_epoch import arrange, update_epoch
 from starwise.kernels.filter_state import Belief, FilterOptions, Work, start_filter
 from starwise.kernels.process import Process, motion, noise_shape, predict
 from starwise.kernels.rangemodel import Epochs, ModelOptions, RowModel, Rows, epoch_corrections
-from starwise.kernels.spp import EpochOut, SppOptions, dops, spp_epoch, threshold
+from starwise.kernels.spp import (
+    FILTER_RATES_IGNORED,
+    FILTER_RATES_USED,
+    FILTER_RATES_WAIT,
+    RATES_CHECKED,
+    RATES_FAILED,
+    EpochOut,
+    SppOptions,
+    dops,
+    spp_epoch,
+    threshold,
+)
 
 F8 = NDArray[np.float64]
+
+TRIAL_EPOCHS = 10  # agreeing epochs, and time, that the codes alone have to determine the velocity before rates return
+TRIAL_NS = 10_000_000_000
+SOON_EPOCHS = 30  # starts within so many epochs, or so much time, of each other have a common cause
+SOON_NS = 60_000_000_000
+MAX_STRIKES = 2  # starts soon after each other with rates that contradict codes that agree: rates are ignored
 
 
 @njit
@@ -41,17 +58,21 @@ def _write(e: int, nk: int, nc: int, belief: Belief, ep: EpochOut) -> None:
 @njit
 def restart(
     model: ModelOptions, spp: SppOptions, options: FilterOptions, t_ns: int, rows: Rows, start: int, end: int,
-    nk: int, nc: int, running: bool, desperate: bool, belief: Belief, e: int, ep: EpochOut, out: RowModel,
-) -> int:  # fmt: skip
+    nk: int, nc: int, running: bool, failing: bool, desperate: bool, killed: bool, belief: Belief, e: int,
+    ep: EpochOut, out: RowModel,
+) -> tuple[int, int]:  # fmt: skip
     """Start, or start again, from the least-squares solution of this epoch, if it has one that can be trusted.
 
     A solution that failed its test, or that nothing checks, is taken only if ``desperate``, with that much more
-    variance, and the epoch is marked suspect.
+    variance, and the epoch is marked suspect. A velocity is taken only if its rates were checked, and not if the start
+    before this one was ``killed`` soon: something wrong in the rates passed the check.
 
     Returns
     -------
-    int
+    nc : int
         Number of active clocks, 0 if the filter did not start.
+    rates : int
+        ``RATES_*``; -1: not believed.
     """
     n_all = len(belief.at)
     tie, tie_var = np.full(n_all, np.nan), np.full(n_all, np.nan)
@@ -63,19 +84,27 @@ def restart(
                 tie[k] = x[c] - x[nk]
                 tie_var[k] = P[c, c] + P[nk, nk] - 2.0 * P[c, nk]
     xs, Ps = np.zeros(3 + n_all), np.zeros((3 + n_all, 3 + n_all))
-    vel, Pv, numbers = np.zeros(4), np.zeros((4, 4)), np.zeros(3)
+    vel, Pv, numbers = np.zeros(4), np.zeros((4, 4)), np.zeros(4)
     status = spp_epoch(model, spp, t_ns, rows, start, end, tie, tie_var, xs, Ps, vel, Pv, numbers, out)
     if not (status == EPOCH_OK or (status == EPOCH_SUSPECT and desperate)):
-        return 0
+        return 0, -1
     doubt = 1.0
     if status == EPOCH_SUSPECT:
         doubt = max(1.0, numbers[2] / numbers[1]) if numbers[1] > 0.0 else 4.0
+    rates = int(numbers[3])
+    if killed and nk > 3 and rates == RATES_CHECKED:
+        rates = -1
+    if rates != RATES_CHECKED:
+        for i in range(4):
+            vel[i] = np.nan
+        for i in range(start, end):
+            out.rate_used[i] = 0
     nc = start_filter(options, nk, t_ns, xs, Ps, vel, Pv, doubt, belief)
     _write(e, nk, nc, belief, ep)
     dops(out, start, end, ep.dop[e])
-    ep.status[e] = EPOCH_RESET if running and status == EPOCH_OK else status
+    ep.status[e] = EPOCH_RESET if failing and status == EPOCH_OK else status
     ep.n_used[e], ep.dof[e], ep.nis[e] = int(numbers[0]), int(numbers[1]), numbers[2]
-    return nc
+    return nc, rates
 
 
 @njit
@@ -118,7 +147,13 @@ def filter_run(
     x, P, at = belief.x, belief.P, belief.at
     x2, P2 = np.zeros(size), np.zeros((size, size))
     F, G, M = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
-    running, nc, failed, t_last, dt_known = False, 0, 0, 0, -1.0
+    running, nc, t_last, dt_known = False, 0, 0, -1.0
+    failed = 0  # epochs in a row that disagreed
+    weak = 0  # epochs in a row in which codes were gated and the rest was too few to check itself
+    wait, t_wait = 0, 0  # epochs until rates are used, and since when
+    strikes, e_strike, t_strike, e_start, t_start = 0, -SOON_EPOCHS - 1, 0, -SOON_EPOCHS - 1, 0
+    ignore = False  # rates are wrong throughout
+    max_var = spp.max_sigma_m**2
     checked = True  # the position has been confirmed by more satellites than it takes to make one
     if x0[0] == x0[0]:
         running, nc, t_last = True, n_all, epochs.t_ns[0]
@@ -140,16 +175,29 @@ def filter_run(
                 dt_known = dt
             noise_shape(process, x[0], x[1], x[2], M)
             predict(x, P, nk, nc, dt, process, F, G, M)
-            lost = not P[0, 0] + P[1, 1] + P[2, 2] < options.lost_sigma_m**2 or failed >= options.patience
+            lost = not P[0, 0] + P[1, 1] + P[2, 2] < options.lost_sigma_m**2
         t_last = t_ns
-        if lost:
+        failing = running and (failed >= options.patience or weak >= 2 * options.patience)
+        if lost or failing:
             desperate = not running or failed >= 2 * options.patience
-            started = restart(
-                model, spp, options, t_ns, rows, start, end, nk, nc, running, desperate, belief, e, ep, out
-            )
+            killed = failing and (e - e_start <= SOON_EPOCHS or t_ns - t_start <= SOON_NS)
+            started, rates = restart(
+                model, spp, options, t_ns, rows, start, end, nk, nc, running, failing, desperate, killed, belief, e,
+                ep, out,
+            )  # fmt: skip
             if started > 0:
-                nc, running, failed = started, True, 0
                 checked = ep.status[e] != EPOCH_SUSPECT
+                if rates == RATES_FAILED and checked and (failing or not running):
+                    soon = e - e_strike <= SOON_EPOCHS or t_ns - t_strike <= SOON_NS
+                    strikes = strikes + 1 if soon else 1
+                    e_strike, t_strike = e, t_ns
+                    ignore = ignore or strikes >= MAX_STRIKES
+                wait, t_wait = 0 if rates == RATES_CHECKED else TRIAL_EPOCHS, t_ns
+                nc, running, failed, weak, e_start, t_start = started, True, 0, 0, e, t_ns
+                if not P[0, 0] + P[1, 1] + P[2, 2] <= max_var:
+                    ep.status[e] = EPOCH_SUSPECT
+                if ignore:
+                    ep.rates[e] = FILTER_RATES_IGNORED
                 continue
             if not running:
                 ep.status[e] = EPOCH_NO_SOLUTION
@@ -167,21 +215,35 @@ def filter_run(
         known = x[0] == x[0]  # always; a literal True would be a type of its own, compiled once more
         epoch_corrections(model, t_ns, rows, start, end, x[0], x[1], x[2], known, out)
         m = arrange(rows, out, start, end, work)
+        ep.rates[e] = FILTER_RATES_IGNORED if ignore else (FILTER_RATES_WAIT if wait > 0 else FILTER_RATES_USED)
+        if ep.rates[e] != FILTER_RATES_USED:
+            for k in range(m):
+                out.rate_var[work.order[k]] = np.inf
         if m > 0:
             align_clocks(options, rows, out, m, x, P, nk, nc, at, work)
             nc = activate_clocks(options, rows, out, m, t_ns, nk, nc, belief, x2, P2, work)
-        nis, dof, n_used, agreed = update_epoch(options, rows, out, m, x, P, nk, nc, at, x2, P2, work)
+        nis, dof, n_used, agreed, n_clocks = update_epoch(options, rows, out, m, x, P, nk, nc, at, x2, P2, work)
         count_missed(rows, m, t_ns, belief, work)
         _write(e, nk, nc, belief, ep)
         dops(out, start, end, ep.dop[e])
         ep.n_used[e], ep.dof[e], ep.nis[e] = n_used, dof, nis
         if m == 0:
             ep.status[e] = EPOCH_COASTED
-        elif not agreed or nis > threshold(options.chi2, dof):
+            continue
+        redundant = n_used > 3 + n_clocks
+        if not agreed or nis > threshold(options.chi2, dof):
             failed += 1
             ep.status[e] = EPOCH_SUSPECT
+            wait = TRIAL_EPOCHS if wait > 0 else 0
         else:
-            failed = 0
-            # A start that nothing checked stays a guess, however well the same satellites agree with it later.
-            checked = checked or n_used > 3 + nc
-            ep.status[e] = EPOCH_OK if checked else EPOCH_SUSPECT
+            if n_used == m or redundant:
+                failed, weak = 0, 0
+                # A start that nothing checked stays a guess, however well the same satellites agree with it later.
+                checked = checked or redundant
+            else:
+                weak += 1  # which of the codes are wrong, nothing says
+            if wait > 1 or t_ns - t_wait >= TRIAL_NS:
+                wait = max(wait - 1, 0)
+            certain = P[0, 0] + P[1, 1] + P[2, 2] <= max_var
+            ep.status[e] = EPOCH_OK if checked and certain and weak == 0 else EPOCH_SUSPECT
+        checked = checked and failed + weak < options.patience

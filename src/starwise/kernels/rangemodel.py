@@ -38,6 +38,7 @@ I8 = NDArray[np.int64]
 U1 = NDArray[np.uint8]
 
 F_L1 = 1575.42e6  # Hz, carrier for which Klobuchar's delay is defined (IS-GPS-200N 20.3.3.5.2.5)
+BDT_OFFSET_S = 14.0  # BeiDou time is behind GPS time by 14 s (BDS-SIS-ICD-B1I-3.0 3.3)
 F_B1I = 1561.098e6  # Hz, the same for BeiDou (BDS-SIS-ICD-B1I-3.0 5.2.4.7)
 
 IONO_NONE = 0
@@ -128,9 +129,7 @@ def range_rate(
 ) -> float:  # fmt: skip
     """Range rate, m/s, of row i, the Sagnac rate included (Groves 9.162)."""
     rate: float = ux * (sat_vel[i, 0] - vx) + uy * (sat_vel[i, 1] - vy) + uz * (sat_vel[i, 2] - vz)
-    rate += OMEGA_E_GPS / C_LIGHT * (
-        sat_vel[i, 0] * py + sat_pos[i, 0] * vy - sat_vel[i, 1] * px - sat_pos[i, 1] * vx
-    )
+    rate += OMEGA_E_GPS / C_LIGHT * (sat_vel[i, 0] * py + sat_pos[i, 0] * vy - sat_vel[i, 1] * px - sat_pos[i, 1] * vx)
     return rate
 
 
@@ -170,7 +169,9 @@ def ionosphere_delay(
     if model == IONO_GPS:
         return float(klobuchar(options.iono_coef[system], lat, lon, az, el, tow) * (F_L1 / freq_hz) ** 2)
     if model == IONO_BDS:
-        return float(klobuchar_bds(options.iono_coef[system], lat, lon, az, el, tow) * (F_B1I / freq_hz) ** 2)
+        return float(
+            klobuchar_bds(options.iono_coef[system], lat, lon, az, el, tow - BDT_OFFSET_S) * (F_B1I / freq_hz) ** 2
+        )
     return 0.0
 
 
@@ -213,6 +214,16 @@ def variances(
 
 
 @njit
+def _clear(out: RowModel, i: int) -> None:
+    """Forget what was modelled for row i at an earlier position; its direction stays."""
+    out.geometric[i], out.sagnac[i] = np.nan, np.nan
+    out.troposphere[i], out.ionosphere[i] = np.nan, np.nan
+    out.v_code[i], out.s_code[i] = np.nan, np.nan
+    out.v_rate[i], out.s_rate[i] = np.nan, np.nan
+    out.rate_used[i] = 0
+
+
+@njit
 def epoch_corrections(
     options: ModelOptions, t_ns: int, rows: Rows, start: int, end: int,
     px: float, py: float, pz: float, known: bool, out: RowModel,
@@ -232,7 +243,7 @@ def epoch_corrections(
     known : bool
         False while the position is only a first guess: no mask, no atmosphere, equal weights.
     out : RowModel
-        Written for the rows of the epoch.
+        Written for the rows of the epoch; rows refused here keep only their direction, the rest is NaN.
 
     Returns
     -------
@@ -271,23 +282,25 @@ def epoch_corrections(
         out.elevation[i], out.azimuth[i] = el, az
         if el < options.mask_rad:
             out.status[i] = ROW_LOW_ELEVATION
+            _clear(out, i)
             continue
+        if rows.cn0_dbhz[i] < options.cn0_min_dbhz:
+            out.status[i] = ROW_LOW_CN0
+            _clear(out, i)
+            continue
+        # Below the horizon, where a mask may reach, the models stay at what they are there.
         tropo, iono = 0.0, 0.0
-        if el > 0.0:
-            if options.troposphere == TROPO_SEASONAL:
-                dry, wet = niell_mapping(mapping, h, el)
-                tropo = zhd * dry + zwd * wet
-            elif options.troposphere == TROPO_SAASTAMOINEN:
-                tropo = saastamoinen(lat, h, el)
-            if rows.freq_hz[i] < 1e12:
-                iono = ionosphere_delay(options, rows.system[i], rows.freq_hz[i], lat, lon, az, el, tow)
+        if options.troposphere == TROPO_SEASONAL:
+            dry, wet = niell_mapping(mapping, h, el)
+            tropo = zhd * dry + zwd * wet
+        elif options.troposphere == TROPO_SAASTAMOINEN:
+            tropo = saastamoinen(lat, h, el)
+        if rows.freq_hz[i] < 1e12:
+            iono = ionosphere_delay(options, rows.system[i], rows.freq_hz[i], lat, lon, az, el, tow)
         out.troposphere[i], out.ionosphere[i] = tropo, iono
         out.code_var[i], out.rate_var[i] = variances(
             options, rows.system[i], el, rows.cn0_dbhz[i], rows.sigma_sat_m[i], rows.noise_factor[i],
             iono, rows.freq_hz[i],
         )  # fmt: skip
-        if rows.cn0_dbhz[i] < options.cn0_min_dbhz:
-            out.status[i] = ROW_LOW_CN0
-        else:
-            usable += 1
+        usable += 1
     return usable

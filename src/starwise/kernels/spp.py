@@ -30,8 +30,17 @@ F8 = NDArray[np.float64]
 I4 = NDArray[np.int32]
 U1 = NDArray[np.uint8]
 
-MAX_CLOCKS = 7
 MIN_RADIUS_M = 6.2e6  # a start nearer to the Earth's centre is a guess, not a place
+
+RATES_NONE = 0  # too few rates for a velocity
+RATES_UNCHECKED = 1  # exactly four: a velocity that nothing checks
+RATES_CHECKED = 2  # a velocity whose rates agree
+RATES_FAILED = 3  # rates that contradict each other, and no exclusion that helps
+UNCHECKED_VARIANCE = 100.0  # factor on the covariance of a velocity that nothing checks: sigma times ten
+
+FILTER_RATES_USED = 0  # rates take part in the filter
+FILTER_RATES_WAIT = 1  # left out after a start until the codes alone have determined the velocity
+FILTER_RATES_IGNORED = 2  # left out for good: they contradicted codes that agree with each other
 
 
 class SppOptions(NamedTuple):
@@ -39,9 +48,10 @@ class SppOptions(NamedTuple):
 
     fde: bool  # fault detection and exclusion
     chi2: F8  # (k,) threshold of the residual test by degrees of freedom; the last serves all above
+    local: F8  # (k,) threshold on the largest normalised residual by number of rows; the last serves all above
     max_gdop: float  # a geometry worse than this is flagged
     max_sigma_m: float  # a position more uncertain than this (3D, 1 sigma) is flagged
-    max_excluded: float  # fraction of satellites; more exclusions than that flag the epoch
+    max_excluded: float  # fraction of satellites; more exclusions than that flag the epoch, or end the velocity
     tie_sigma_m: float  # growth of a held inter-system offset, m per sqrt(s); <= 0: never hold
 
 
@@ -60,6 +70,7 @@ class EpochOut(NamedTuple):
     nis: F8  # sum of squared normalised residuals (least squares) or innovations (filters)
     dof: I4
     status: U1
+    rates: U1  # FILTER_RATES_*
 
 
 @njit
@@ -71,7 +82,7 @@ def _fill(values: F8, value: float) -> None:
 
 @njit
 def threshold(table: F8, dof: int) -> float:
-    """Chi-square threshold for ``dof`` degrees of freedom out of a table by dof."""
+    """Threshold for ``dof`` degrees of freedom (or rows) out of a table by that number."""
     return float(table[min(dof, len(table) - 1)])
 
 
@@ -161,27 +172,100 @@ def _normal_equations(
 
 
 @njit
-def _worst_row(rows: Rows, start: int, end: int, x: F8, column: NDArray[np.int64], Q: F8, m: int, out: RowModel) -> int:
-    """Row with the largest normalised residual (Baarda's w-test), -1 if none is redundant; writes ``s_code``."""
+def _predicted_variance(ux: float, uy: float, uz: float, Q: F8, c: int) -> float:
+    """Variance h Q h' of a pseudorange predicted by the solution; its clock is element c."""
+    return float(
+        ux * (Q[0, 0] * ux + 2.0 * (Q[0, 1] * uy + Q[0, 2] * uz - Q[0, c]))
+        + uy * (Q[1, 1] * uy + 2.0 * (Q[1, 2] * uz - Q[1, c]))
+        + uz * (Q[2, 2] * uz - 2.0 * Q[2, c])
+        + Q[c, c]
+    )
+
+
+@njit
+def _worst_row(
+    rows: Rows, start: int, end: int, x: F8, column: NDArray[np.int64], Q: F8, out: RowModel
+) -> tuple[int, float]:
+    """Row with the largest normalised residual (Baarda's w-test), -1 if none is redundant, and |w|; ``s_code``."""
     worst, worst_w = -1, 0.0
     for i in range(start, end):
         if out.status[i] != ROW_USED:
             continue
         _, _, ux, uy, uz = range_los(x[0], x[1], x[2], rows.sat_pos[i, 0], rows.sat_pos[i, 1], rows.sat_pos[i, 2])
-        c = column[rows.clock[i]]
-        hqh = (
-            ux * (Q[0, 0] * ux + 2.0 * (Q[0, 1] * uy + Q[0, 2] * uz - Q[0, c]))
-            + uy * (Q[1, 1] * uy + 2.0 * (Q[1, 2] * uz - Q[1, c]))
-            + uz * (Q[2, 2] * uz - 2.0 * Q[2, c])
-            + Q[c, c]
-        )
-        s = out.code_var[i] - hqh
+        s = out.code_var[i] - _predicted_variance(ux, uy, uz, Q, column[rows.clock[i]])
         out.s_code[i] = max(s, 0.0)
         if s < 1e-6 * out.code_var[i]:
             continue  # the only satellite of its clock: nothing checks it
         w = abs(out.v_code[i]) / math.sqrt(s)
         if w > worst_w:
             worst, worst_w = i, w
+    return worst, worst_w
+
+
+@njit
+def _excluded_rows(rows: Rows, start: int, end: int, x: F8, column: NDArray[np.int64], Q: F8, out: RowModel) -> None:
+    """Residuals of excluded rows at the final solution, and the variances of them if the rows were sound."""
+    for i in range(start, end):
+        if out.status[i] != ROW_EXCLUDED:
+            continue
+        rho, sagnac, ux, uy, uz = range_los(
+            x[0], x[1], x[2], rows.sat_pos[i, 0], rows.sat_pos[i, 1], rows.sat_pos[i, 2]
+        )
+        out.geometric[i], out.sagnac[i] = rho, sagnac
+        out.v_code[i], out.s_code[i] = np.nan, np.nan
+        clk = rows.clock[i]
+        if column[clk] < 0:
+            continue  # the last of its clock
+        model = rho + sagnac + x[3 + clk] - rows.clock_m[i] + out.troposphere[i] + out.ionosphere[i]
+        out.v_code[i] = rows.code_m[i] - model
+        out.s_code[i] = out.code_var[i] + _predicted_variance(ux, uy, uz, Q, column[clk])
+
+
+@njit
+def _rate_equations(
+    rows: Rows, start: int, end: int, px: float, py: float, pz: float, vel: F8, N: F8, g: F8, out: RowModel
+) -> float:
+    """Normal equations of velocity and drift, residuals of all rates of used satellites, weighted sum of squares."""
+    h = np.empty(4)
+    for a in range(4):
+        g[a] = 0.0
+        for b in range(4):
+            N[a, b] = 0.0
+    sse = 0.0
+    for i in range(start, end):
+        if out.status[i] != ROW_USED or rows.rate_mps[i] != rows.rate_mps[i]:
+            continue
+        _, _, ux, uy, uz = range_los(px, py, pz, rows.sat_pos[i, 0], rows.sat_pos[i, 1], rows.sat_pos[i, 2])
+        model = range_rate(px, py, vel[0], vel[1], vel[2], ux, uy, uz, rows.sat_pos, rows.sat_vel, i)
+        v = rows.rate_mps[i] - (model + vel[3] - rows.drift_mps[i])
+        out.v_rate[i] = v
+        if out.rate_used[i] == 0:
+            continue
+        w = 1.0 / out.rate_var[i]
+        h[0], h[1], h[2], h[3] = -ux, -uy, -uz, 1.0
+        for a in range(4):
+            g[a] += w * h[a] * v
+            for b in range(a + 1):
+                N[a, b] += w * h[a] * h[b]
+        sse += w * v * v
+    return sse
+
+
+@njit
+def _worst_rate(rows: Rows, start: int, end: int, px: float, py: float, pz: float, Pv: F8, out: RowModel) -> int:
+    """Rate with the largest normalised residual, -1 if none is redundant; writes ``s_rate``."""
+    worst, worst_w2 = -1, 0.0
+    for i in range(start, end):
+        if out.rate_used[i] == 0:
+            continue
+        _, _, ux, uy, uz = range_los(px, py, pz, rows.sat_pos[i, 0], rows.sat_pos[i, 1], rows.sat_pos[i, 2])
+        s = out.rate_var[i] - _predicted_variance(ux, uy, uz, Pv, 3)
+        out.s_rate[i] = max(s, 0.0)
+        if s < 1e-6 * out.rate_var[i]:
+            continue
+        w2 = out.v_rate[i] * out.v_rate[i] / s
+        if w2 > worst_w2:
+            worst, worst_w2 = i, w2
     return worst
 
 
@@ -189,8 +273,12 @@ def _worst_row(rows: Rows, start: int, end: int, x: F8, column: NDArray[np.int64
 def spp_velocity(
     options: SppOptions, rows: Rows, start: int, end: int, px: float, py: float, pz: float,
     vel: F8, Pv: F8, out: RowModel,
-) -> bool:  # fmt: skip
+) -> int:  # fmt: skip
     """Velocity and one clock drift from the Doppler rows of the used satellites of an epoch.
+
+    Five or more rates have to pass a chi-square test; with two or more to spare the one with the largest normalised
+    residual goes first, and the next, up to ``options.max_excluded`` of them. Without that there is no velocity.
+    Four rates give a velocity that nothing checks: its covariance is `UNCHECKED_VARIANCE` times the formal one.
 
     Parameters
     ----------
@@ -198,58 +286,57 @@ def spp_velocity(
         Out: velocity (m/s, ECEF) and clock drift (m/s); NaN without a solution.
     Pv : (4, 4)
         Out: its covariance.
+
+    Returns
+    -------
+    int
+        ``RATES_*``.
     """
     N = np.empty((4, 4))
     g = np.empty(4)
-    h = np.empty(4)
     _fill(vel, 0.0)
     n = 0
     for i in range(start, end):
         ok = out.status[i] == ROW_USED and rows.rate_mps[i] == rows.rate_mps[i]
         out.rate_used[i] = 1 if ok else 0
+        out.v_rate[i], out.s_rate[i] = np.nan, np.nan
         n += 1 if ok else 0
+    n_all = n
+    result = RATES_NONE
     while n >= 4:
+        solved, sse = False, 0.0
         for _ in range(2):  # linear but for the tiny Sagnac rate
-            for a in range(4):
-                for b in range(4):
-                    N[a, b] = 0.0
-            _fill(g, 0.0)
-            sse = 0.0
-            for i in range(start, end):
-                if out.rate_used[i] == 0:
-                    continue
-                _, _, ux, uy, uz = range_los(px, py, pz, rows.sat_pos[i, 0], rows.sat_pos[i, 1], rows.sat_pos[i, 2])
-                model = range_rate(px, py, vel[0], vel[1], vel[2], ux, uy, uz, rows.sat_pos, rows.sat_vel, i)
-                v = rows.rate_mps[i] - (model + vel[3] - rows.drift_mps[i])
-                out.v_rate[i] = v
-                w = 1.0 / out.rate_var[i]
-                h[0], h[1], h[2], h[3] = -ux, -uy, -uz, 1.0
-                for a in range(4):
-                    g[a] += w * h[a] * v
-                    for b in range(a + 1):
-                        N[a, b] += w * h[a] * h[b]
-                sse += w * v * v
-            if not cholesky(N, 4):
-                _fill(vel, np.nan)
-                return False
+            sse = _rate_equations(rows, start, end, px, py, pz, vel, N, g, out)
+            solved = cholesky(N, 4)
+            if not solved:
+                break
             cholesky_solve(N, g, 4)
             for a in range(4):
                 vel[a] += g[a]
+        if not solved:
+            result = RATES_NONE if n == n_all else RATES_FAILED
+            break
+        _rate_equations(rows, start, end, px, py, pz, vel, N, g, out)
+        cholesky(N, 4)
         cholesky_inverse(N, Pv, 4)
-        if not options.fde or n < 6 or sse <= threshold(options.chi2, n - 4):
-            return True
-        worst, worst_w = -1, 0.0
-        for i in range(start, end):
-            if out.rate_used[i] == 1:
-                w = abs(out.v_rate[i]) / math.sqrt(out.rate_var[i])
-                if w > worst_w:
-                    worst, worst_w = i, w
+        worst = _worst_rate(rows, start, end, px, py, pz, Pv, out)
+        if n == 4:
+            for a in range(4):
+                for b in range(4):
+                    Pv[a, b] *= UNCHECKED_VARIANCE
+            return RATES_UNCHECKED
+        if sse <= threshold(options.chi2, n - 4):
+            return RATES_CHECKED
+        if not options.fde or n < 6 or worst < 0 or n_all - n + 1 > options.max_excluded * n_all:
+            result = RATES_FAILED
+            break
         out.rate_used[worst] = 0
         n -= 1
     _fill(vel, np.nan)
     for i in range(start, end):
         out.rate_used[i] = 0
-    return False
+        out.v_rate[i], out.s_rate[i] = np.nan, np.nan
+    return result
 
 
 @njit
@@ -260,7 +347,9 @@ def spp_epoch(
     """Position, clocks and velocity of one epoch by iterated weighted least squares.
 
     Residual-based fault detection and exclusion: while the weighted sum of squared residuals fails its chi-square
-    test, the satellite with the largest normalised residual goes (Groves 17.4.1) and the epoch is solved again.
+    test, or the largest normalised residual its own (Baarda's w-test: weak signals with large variances hide a single
+    outlier from the sum), that satellite goes (Groves 17.4.1) and the epoch is solved again. If nothing can be solved
+    without it, the last solution stands and is suspect.
 
     Parameters
     ----------
@@ -273,8 +362,8 @@ def spp_epoch(
         Out: covariance; NaN rows for clocks not seen.
     vel, Pv : (4,), (4, 4)
         Out: see `spp_velocity`.
-    numbers : (3,)
-        Out: satellites used, degrees of freedom, weighted sum of squared residuals.
+    numbers : (4,)
+        Out: satellites used, degrees of freedom, weighted sum of squared residuals, ``RATES_*`` of the velocity.
     out : RowModel
         Out: rows of the epoch.
 
@@ -289,7 +378,8 @@ def spp_epoch(
     Q = np.empty((3 + nc, 3 + nc))
     g = np.empty(3 + nc)
     excluded = np.zeros(end - start, np.bool_)
-    n_excluded = 0
+    kept = np.zeros(3 + nc)  # the solution before the last exclusion
+    n_excluded, last, final = 0, -1, False
     _fill(numbers, 0.0)
     _fill(vel, np.nan)
     for a in range(3 + nc):
@@ -349,7 +439,14 @@ def spp_epoch(
                 converged = True
                 break
         if not converged or not known:
-            break
+            if last < 0 or final:
+                break
+            excluded[last - start] = False
+            n_excluded -= 1
+            for a in range(3 + nc):
+                x[a] = kept[a]
+            known, final = True, True
+            continue
         solved = True
         cholesky_inverse(N, Q, m)
         _normal_equations(rows, start, end, x, column, m, tie, tie_var, tied, out, N, g)
@@ -357,19 +454,29 @@ def spp_epoch(
         for i in range(start, end):
             if out.status[i] == ROW_USED:
                 sse += out.v_code[i] ** 2 / out.code_var[i]
-        worst = _worst_row(rows, start, end, x, column, Q, m, out)
+        worst, worst_w = _worst_row(rows, start, end, x, column, Q, out)
         dof = n - m
-        if not options.fde or dof < 2 or worst < 0 or sse <= threshold(options.chi2, dof):
+        if final or not options.fde or dof < 2 or worst < 0:
             break
+        if sse <= threshold(options.chi2, dof) and worst_w <= threshold(options.local, n):
+            break
+        for a in range(3 + nc):
+            kept[a] = x[a]
+        last = worst
         excluded[worst - start] = True
         n_excluded += 1
         solved = False
     if not solved:
         _fill(x, np.nan)
         for i in range(start, end):
-            if out.status[i] == ROW_USED:
+            if out.status[i] == ROW_USED or out.status[i] == ROW_EXCLUDED:
                 out.status[i] = ROW_EPOCH_UNSOLVED
+                out.geometric[i], out.sagnac[i], out.troposphere[i], out.ionosphere[i] = np.nan, np.nan, np.nan, np.nan
+                out.v_code[i], out.s_code[i], out.v_rate[i], out.s_rate[i] = np.nan, np.nan, np.nan, np.nan
+                out.rate_used[i] = 0
         return EPOCH_NO_SOLUTION
+    if n_excluded > 0:
+        _excluded_rows(rows, start, end, x, column, Q, out)
     dof = n - m
     numbers[0], numbers[1], numbers[2] = n, max(dof, 0), sse
     for a in range(3):
@@ -385,9 +492,9 @@ def spp_epoch(
         for j in range(nc):
             if column[j] >= 0:
                 P[3 + k, 3 + j] = Q[column[k], column[j]]
-    spp_velocity(options, rows, start, end, x[0], x[1], x[2], vel, Pv, out)
+    numbers[3] = spp_velocity(options, rows, start, end, x[0], x[1], x[2], vel, Pv, out)
     radius = math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
-    if radius < MIN_RADIUS_M or dof < 1 or sse > threshold(options.chi2, dof):
+    if final or radius < MIN_RADIUS_M or dof < 1 or sse > threshold(options.chi2, dof):
         return EPOCH_SUSPECT
     if n_excluded > options.max_excluded * (n + n_excluded):
         return EPOCH_SUSPECT
@@ -406,7 +513,7 @@ def spp_run(model: ModelOptions, options: SppOptions, epochs: Epochs, rows: Rows
     P = np.empty((3 + nc, 3 + nc))
     vel = np.empty(4)
     Pv = np.empty((4, 4))
-    numbers = np.empty(3)
+    numbers = np.empty(4)
     tie = np.full(nc, np.nan)
     tie_var = np.full(nc, np.nan)
     now_tie = np.full(nc, np.nan)

@@ -105,18 +105,18 @@ def update_satellite(
     # M = S^-1, y = M v; a row that is not used has zeros in M.
     m11, m21, m22 = 1.0 / s11, 0.0, 0.0
     if paired:
-        det = 1.0 / (s11 * s22 - s21 * s21)
-        m11, m21, m22 = s22 * det, -s21 * det, s11 * det
+        det = s11 * s22 - s21 * s21
+        m11, m21, m22 = s22 / det, -s21 / det, s11 / det
         y1, y2 = m11 * v1 + m21 * v2, m21 * v1 + m22 * v2
         nis = v1 * y1 + v2 * y2
         used = USED_BOTH
-        if not nis <= gate2:
+        if not (det > 0.0 and s11 > 0.0 and nis <= gate2):
             y1, m11, m21 = 0.0, 0.0, 0.0
             m22 = 1.0 / s22
             y2 = m22 * v2
             nis = y2 * v2
             used = USED_RATE
-            if not nis <= gate1:
+            if not (s22 > 0.0 and nis <= gate1):
                 y2, m22 = 0.0, 0.0
                 m11 = 1.0 / s11
                 y1 = m11 * v1
@@ -127,7 +127,7 @@ def update_satellite(
         y1, y2 = m11 * v1, 0.0
         nis = y1 * v1
         used = USED_CODE
-    if used == USED_CODE and not nis <= gate1:
+    if used == USED_CODE and not (s11 > 0.0 and nis <= gate1):
         return USED_NONE, 0.0, s11, s22
     for i in range(n):
         ai, bi = a[i], b[i]
@@ -149,14 +149,18 @@ def mirror(P: F8, n: int) -> None:
 
 @njit
 def decide(v1: float, v2: float, s11: float, s21: float, s22: float, paired: bool, gate1: float, gate2: float) -> int:
-    """Which rows of a satellite `update_satellite` would use: ``USED_*``; the same rule for the batch form."""
+    """Which rows of a satellite `update_satellite` would use: ``USED_*``; the same rule for the batch form.
+
+    Variances that rounding has left without a positive determinant decide nothing: the rows are tried alone.
+    """
     if paired:
         det = s11 * s22 - s21 * s21
-        if v1 * v1 * s22 - 2.0 * v1 * v2 * s21 + v2 * v2 * s11 <= gate2 * det:
+        nis_det = v1 * v1 * s22 - 2.0 * v1 * v2 * s21 + v2 * v2 * s11
+        if det > 0.0 and s11 > 0.0 and nis_det <= gate2 * det:
             return USED_BOTH
-        if v2 * v2 <= gate1 * s22:
+        if s22 > 0.0 and v2 * v2 <= gate1 * s22:
             return USED_RATE
-    return USED_CODE if v1 * v1 <= gate1 * s11 else USED_NONE
+    return USED_CODE if s11 > 0.0 and v1 * v1 <= gate1 * s11 else USED_NONE
 
 
 @njit
