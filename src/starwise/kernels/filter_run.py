@@ -58,14 +58,15 @@ def _write(e: int, nk: int, nc: int, belief: Belief, ep: EpochOut) -> None:
 @njit
 def restart(
     model: ModelOptions, spp: SppOptions, options: FilterOptions, t_ns: int, rows: Rows, start: int, end: int,
-    nk: int, nc: int, running: bool, failing: bool, desperate: bool, killed: bool, belief: Belief, e: int,
+    nk: int, nc: int, running: bool, failing: bool, desperate: bool, since_s: float, belief: Belief, e: int,
     ep: EpochOut, out: RowModel,
 ) -> tuple[int, int]:  # fmt: skip
     """Start, or start again, from the least-squares solution of this epoch, if it has one that can be trusted.
 
     A solution that failed its test, or that nothing checks, is taken only if ``desperate``, with that much more
     variance, and the epoch is marked suspect. A velocity is taken only if its rates were checked, and not if the start
-    before this one was ``killed`` soon: something wrong in the rates passed the check.
+    before this one failed soon, ``since_s`` ago (else NaN): something wrong in the rates passed the check. A static
+    receiver says what: the rates, if they claim that it went far and its codes that it did not.
 
     Returns
     -------
@@ -92,8 +93,17 @@ def restart(
     if status == EPOCH_SUSPECT:
         doubt = max(1.0, numbers[2] / numbers[1]) if numbers[1] > 0.0 else 4.0
     rates = int(numbers[3])
-    if killed and nk > 3 and rates == RATES_CHECKED:
-        rates = -1
+    if since_s == since_s and rates == RATES_CHECKED:
+        if nk > 3:
+            rates = -1
+        else:
+            gone2, went2, var = 0.0, 0.0, 0.0
+            for i in range(3):
+                gone2 += (vel[i] * since_s) ** 2
+                went2 += (xs[i] - belief.x[i]) ** 2
+                var += Ps[i, i]
+            if gone2 > 25.0 * var and went2 < gone2 / 16.0:
+                rates = RATES_FAILED
     if rates != RATES_CHECKED:
         for i in range(4):
             vel[i] = np.nan
@@ -180,9 +190,10 @@ def filter_run(
         failing = running and (failed >= options.patience or weak >= 2 * options.patience)
         if lost or failing:
             desperate = not running or failed >= 2 * options.patience
-            killed = failing and (e - e_start <= SOON_EPOCHS or t_ns - t_start <= SOON_NS)
+            soon = e - e_start <= SOON_EPOCHS or t_ns - t_start <= SOON_NS
+            since_s = (t_ns - t_start) * 1e-9 if failing and soon else np.nan
             started, rates = restart(
-                model, spp, options, t_ns, rows, start, end, nk, nc, running, failing, desperate, killed, belief, e,
+                model, spp, options, t_ns, rows, start, end, nk, nc, running, failing, desperate, since_s, belief, e,
                 ep, out,
             )  # fmt: skip
             if started > 0:
