@@ -133,6 +133,13 @@ def test_bad_arguments(arguments: list[str], capsys: pytest.CaptureFixture[str],
     assert printed.err.count("\n") == 1
 
 
+def test_folder_that_cannot_be_made(scenario: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    assert main(["simulate", str(scenario), "-o", str(tmp_path / "file")]) == 2
+    assert main(["reproduce", "s3ekf", "-o", str(tmp_path / "file" / "x"), "--runs", "1"]) == 2
+    assert capsys.readouterr().err.count("\n") == 2
+
+
 def test_reproduce_prints_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["reproduce", "s3ekf", "-o", str(tmp_path), "--runs", "2", "--seed", "3", "--workers", "1"]
     assert main([*arguments, "--json", "--data", str(tmp_path)]) == 0

@@ -11,6 +11,7 @@ from starwise.sim.scenario import load_scenario
 from starwise.studies.s3ekf import reproduce_s3ekf
 from starwise.studies.s3ekf_filter import SCENARIOS, paper_config, solve_paper
 from starwise.studies.s3ekf_real import real_data
+from starwise.studies.s3ekf_robustness import _literal
 from starwise.studies.scene import Scene
 from starwise.studies.update_timing import time_updates
 
@@ -98,6 +99,18 @@ def test_noiseless_scenario_is_tracked_to_numerical_zero():
     sky = Scene(load_scenario(SCENARIOS[0], quiet)).run(0, paper_config("s3ekf"))
     for method in ("lsq", "ekf", "s3ekf"):
         assert np.abs(solve_paper(sky, method).pos - sky.pos_e).max() < 1e-3  # m
+
+
+@pytest.mark.laws
+@pytest.mark.parametrize("form", ["ekf", "s3ekf"])
+def test_the_compiled_run_is_the_papers_equations(form):
+    """Eq. 2 and eq. 5a-5e as they stand, in numpy, against the compiled filter; m, rounding at 6e6 m."""
+    scenario = load_scenario(SCENARIOS[1], {"time.duration_s": 80.0})
+    sky = Scene(scenario).run(0, paper_config(form))
+    x0 = np.concatenate([sky.pos_e[0], sky.vel_e[0], np.zeros(3), np.full(2, 3000.0), np.full(2, 3.0)])
+    start = (x0, np.diag([100.0] * 3 + [10.0] * 3 + [1.0] * 3 + [1e4] * 2 + [1.0] * 2))
+    literal = _literal(sky, form, start, 81)
+    assert np.abs(solve_paper(sky, form, start).pos - literal).max() < 1e-6
 
 
 @pytest.mark.real

@@ -110,7 +110,8 @@ def _finish(task: Task, missing: Sequence[Block], files: Mapping[Block, Path], w
 
     # Fresh processes: a fork would inherit the locks of threads that it does not have. This process works, too, from
     # the first moment on, while the others are still being started.
-    with ProcessPoolExecutor(count - 1, mp_context=multiprocessing.get_context("spawn")) as pool:
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(count - 1, mp_context=context, initializer=_leave_with_parent) as pool:
         waiting: dict[Future[None], Block] = {}
         try:
             while pending or waiting:
@@ -130,6 +131,22 @@ def _finish(task: Task, missing: Sequence[Block], files: Mapping[Block, Path], w
                     yield waiting.pop(future)
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _leave_with_parent() -> None:
+    """End this process when the one that started it is gone: a killed run leaves nobody waiting behind."""
+    import multiprocessing
+    import threading
+
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _do_here(task: Task, block: Block, files: Mapping[Block, Path]) -> Block:
