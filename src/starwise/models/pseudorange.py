@@ -60,10 +60,11 @@ for _sat, _row in (
 UNKNOWN_GROUP_DELAY_SIGMA_M = 3.0
 """1 sigma, m, added where a signal's group delay is not broadcast: the size of the delays themselves (GPS TGD
 -20..+20 ns, IS-GPS-200N 20.3.3.3.3.2, typically 3-4 m rms; BeiDou TGD1 likewise)."""
-EPHEMERIS_SIGMA_M = np.array([0.8, 2.5, 0.4, 1.2, 1.0, 2.0, 4.0])
+EPHEMERIS_SIGMA_M = np.array([0.8, 5.0, 0.4, 1.2, 1.0, 2.0, 5.0])
 """Orbit and clock error of broadcast ephemerides in the line of sight as measured against precise products, 1 sigma m,
 G R E C J I S (Montenbruck, Steigenberger, Hauschild, "Multi-GNSS signal-in-space range error assessment", Adv. Space
-Res. 61, 2018, and their later tables; geostationary and old satellites counted in)."""
+Res. 61, 2018, and their later tables; geostationary and old satellites counted in). GLONASS: about 2.5 m of that, and the
+delays of its channels, for which nobody broadcasts a correction: 5 m, as RTKLIB takes them, too."""
 EPHEMERIS_BEST_CLAIM_M = np.array([2.5, 5.0, 3.2, 2.5, 2.5, 2.5, 5.0])
 """Claims up to here, m, are the best index that a system broadcasts (URA 0: 2.4 m, IS-GPS-200N 20.3.3.3.1.3;
 SISA 3.12 m, the only value that Galileo uses; 5 m stands for none): bounds for integrity, far above the real error.

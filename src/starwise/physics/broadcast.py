@@ -280,6 +280,9 @@ def _rules(records: BroadcastRecords, messages: Ranks, trusted: NDArray[np.bool_
 
     known = np.isfinite(records.accuracy_m) & (records.accuracy_m > 0)
     sigma = np.where(known, records.accuracy_m, np.where(np.isinf(records.accuracy_m), np.inf, UNKNOWN_SIGMA_M))
+    # What GLONASS says of itself (F_T) is of orbit and clock alone. Its users also see the delays between the channels
+    # of satellite and receiver, 1-2 m each, for which the message has no correction.
+    sigma = np.where(records.sv >> 8 == SYS_R, np.maximum(sigma, UNKNOWN_SIGMA_M), sigma)
     return _Rules(rank, status, limit_ns, before_ns, after_ns, avail, sigma)
 
 
