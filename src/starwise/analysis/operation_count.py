@@ -65,7 +65,7 @@ def own_sequential(satellites: int, states: int = 13) -> int:
     innovation = 3 + 6
     products = 9 * N  # P h of code (3) and rate (6)
     S = 6 + 6 + 3
-    inverse = 1 + 3 + 3  # 1 / s11; determinant with its division; three elements
+    inverse = 1 + 2 + 3  # 1 / s11; determinant; three elements over it
     nis = 4 + 2
     gain = 4 * N
     return satellites * (innovation + products + S + inverse + nis + 2 * N + gain + 2 * N * N)
