@@ -17,9 +17,10 @@ from starwise.constants import (
     ROW_GATED,
     ROW_USED,
 )
-from starwise.estimators.filter import filter_rows
+from starwise.estimators.filter import filter_notes, filter_rows
 from starwise.frames import C_ne_enu, geodetic_from_ecef
 from starwise.kernels.filter_epoch import linearise
+from starwise.kernels.update import USED_CODE, decide, update_satellite
 from starwise.models.pseudorange import empty_row_model
 
 METHODS = ["ekf", "s3ekf"]
@@ -402,3 +403,96 @@ def test_drift_is_learned_without_doppler_and_both_methods_agree(dynamics):
     # 200 intervals of 30 s with clock errors of 1 m: the drift is known to 1 m / 30 s within a few epochs.
     np.testing.assert_allclose(a.drift[20:], -220.0, atol=0.3, rtol=0)  # m/s
     assert np.linalg.norm(a.pos - b.pos, axis=1).max() < 1e-3  # m, as promised
+
+
+@pytest.mark.parametrize("dynamics", ["static", "vehicle"])
+@pytest.mark.parametrize(("seed", "bad"), [(0, 0), (3, 1), (5, 3), (5, 4)])
+def test_one_bad_doppler_of_five_satellites_does_not_lead_the_filter_astray(dynamics, seed, bad):
+    """200 Hz on one satellite for 15 minutes: the rates cannot say which of them is wrong, only the codes can.
+
+    Regression: the filter started with the velocity of all five rates, then gated the codes it no longer believed, and
+    ended 1.5 km off and unflagged. Of seed 5 the rate of satellite 3 has so little redundancy that it passes the test.
+    """
+    epochs, rows, truth = sky(5, 900, seed=seed, code_sigma=1.0, rate_sigma=RATE, drift_mps=30.0)
+    rows.rate_mps[bad::5] += 38.0  # m/s
+    ep, out = both(epochs, rows, dynamics=dynamics)
+    good = ep.status == EPOCH_OK
+    assert good.mean() > 0.98
+    assert good[60:].all()
+    # 1 m of noise where the model has 3 m. Seed 0 has a PDOP of 10; above 25 m of sigma epochs are flagged.
+    sigma = np.sqrt(np.trace(ep.cov_pos, axis1=1, axis2=2))
+    assert error(ep, truth)[good].max() < 30.0
+    assert (error(ep, truth)[good] < 4.0 * sigma[good]).all()
+    assert (out.rate_used[100 * 5 + bad :: 5] == 0).all()
+    assert (out.rate_used[100 * 5 + (bad + 1) % 5 :: 5] == 1).mean() > 0.95
+
+
+@pytest.mark.parametrize("dynamics", ["static", "vehicle"])
+@pytest.mark.parametrize("factor", [-1.0, 0.0])
+@pytest.mark.parametrize("since", [0, 100])
+def test_doppler_that_is_wrong_throughout_is_ignored_and_said_so(dynamics, factor, since):
+    velocity = np.zeros(3) if dynamics == "static" else CAR
+    epochs, rows, truth = sky(9, 200, velocity=velocity, code_sigma=1.0, rate_sigma=RATE, drift_mps=30.0)
+    rows.rate_mps[since * 9 :] *= factor
+    ep, out = both(epochs, rows, dynamics=dynamics)
+    assert (ep.status == EPOCH_OK).sum() >= 190, "two starts, three epochs each to notice"
+    assert (ep.status[since + 30 :] == EPOCH_OK).all()
+    assert error(ep, truth)[since + 30 :].max() < 10.0  # m, codes alone
+    assert (out.rate_used[(since + 30) * 9 :] == 0).all()
+    (note,) = filter_notes(ep)
+    assert "Doppler" in note
+
+
+def test_sound_doppler_is_not_noted():
+    epochs, rows, _ = sky(5, 30, velocity=CAR, code_sigma=1.0, rate_sigma=RATE)
+    ep, out = solve(epochs, rows, dynamics="vehicle")
+    assert filter_notes(ep) == []
+    assert out.rate_used.mean() > 0.95
+
+
+@pytest.mark.parametrize("dynamics", ["static", "vehicle"])
+def test_codes_gated_without_redundancy_are_flagged(dynamics):
+    """100 m on one of five codes: four are left, and nothing says that they are the right four."""
+    epochs, rows, truth = sky(5, 120, seed=3, code_sigma=1.0, rate_sigma=RATE)
+    rows.code_m[30 * 5 + 2 : 90 * 5 : 5] += 100.0
+    ep, out = both(epochs, rows, dynamics=dynamics)
+    assert (out.status[30 * 5 + 2 : 90 * 5 : 5] == ROW_GATED).all()
+    assert (ep.status[30:90] == EPOCH_SUSPECT).all()
+    assert (ep.status[91:] == EPOCH_OK).all(), "five that agree check it again"
+    assert error(ep, truth).max() < 10.0, "and what it knew before is not thrown away"
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_position_that_is_too_uncertain_is_flagged(method):
+    """Two satellites for 160 s: not coasting, but kilometres of uncertainty; 25 m (3D, 1 sigma) is the limit."""
+    epochs, rows, _ = sky(10, 200, velocity=CAR, code_sigma=1.0, rate_sigma=RATE)
+    e, k = np.arange(len(rows.code_m)) // 10, np.arange(len(rows.code_m)) % 10
+    ep, _ = solve(*pick(epochs, rows, (e < 30) | (k < 2) | (e >= 190)), method, dynamics="vehicle")
+    sigma = np.sqrt(np.trace(ep.cov_pos, axis1=1, axis2=2))
+    np.testing.assert_array_equal(ep.status == EPOCH_SUSPECT, sigma > 25.0)
+    assert (ep.status == EPOCH_SUSPECT).sum() > 100
+    assert ep.status[-1] == EPOCH_OK
+
+
+@pytest.mark.parametrize("step_s", [300.0, 900.0])
+def test_long_intervals_are_not_losses(step_s):
+    """The prediction alone makes the position uncertain by kilometres: a fresh start, but nothing went wrong."""
+    epochs, rows, truth = sky(9, 20, seed=1, code_sigma=1.0, rate_sigma=RATE, step_s=step_s)
+    ep, _ = both(epochs, rows, dynamics="vehicle")
+    assert (ep.status == EPOCH_OK).all()
+    assert error(ep, truth).max() < 10.0
+
+
+def test_variances_without_a_positive_determinant_do_not_pass_the_gate():
+    """Regression: a negative determinant made the sum of squares negative, which every gate lets through."""
+    assert decide(50.0, 50.0, 0.6, 2.0, 0.6, True, 10.0, 13.0) == 0
+    assert decide(50.0, 50.0, -0.6, 0.0, -0.6, True, 10.0, 13.0) == 0
+    assert decide(0.1, 50.0, 0.6, 2.0, 0.6, True, 10.0, 13.0) == USED_CODE
+    P = np.zeros((5, 5))
+    P[3, 3], P[4, 4], P[3, 4], P[4, 3] = 0.5, 0.5, 2.0, 2.0
+    before = P.copy()
+    x, a, b = np.zeros(5), np.zeros(5), np.zeros(5)
+    geometry = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    used = update_satellite(x, P, 5, False, 3, 4, *geometry, 50.0, 50.0, 0.1, 0.1, 10.0, 13.0, a, b)[0]
+    assert used == 0
+    np.testing.assert_array_equal(P, before)

@@ -215,9 +215,10 @@ def niell_mapping(
     """Hydrostatic and wet mapping function out of `niell_coefficients` at a height (m) and elevation (rad)."""
     ah, bh, ch, aw, bw, cw = coefficients
     sin_el = math.sin(max(el, 0.0)) + 0.0 * el
-    # height correction (eq. 6): valid for real heights; at the horizon it is bounded by sin(el) >= 1 deg
+    # Height correction (eq. 6): for real heights; below 1 deg that of 1 deg, for both terms grow without bounds.
     km = min(max(h, -1000.0), 44300.0) / 1000.0 + 0.0 * h
-    dm = 1.0 / max(sin_el, 0.0175) - _marini(sin_el, _NMF_HEIGHT[0], _NMF_HEIGHT[1], _NMF_HEIGHT[2])
+    s = max(sin_el, 0.0175)
+    dm = 1.0 / s - _marini(s, _NMF_HEIGHT[0], _NMF_HEIGHT[1], _NMF_HEIGHT[2])
     return _marini(sin_el, ah, bh, ch) + dm * km, _marini(sin_el, aw, bw, cw)
 
 
