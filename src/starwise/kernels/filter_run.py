@@ -19,14 +19,12 @@ from starwise.kernels.spp import (
     FILTER_RATES_IGNORED,
     FILTER_RATES_USED,
     FILTER_RATES_WAIT,
-    RATES_CHECKED,
-    RATES_FAILED,
     EpochOut,
     SppOptions,
     dops,
     spp_epoch,
-    threshold,
 )
+from starwise.kernels.spp_rates import RATES_CHECKED, RATES_FAILED, threshold
 
 F8 = NDArray[np.float64]
 

@@ -23,20 +23,14 @@ from starwise.kernels.rangemodel import (
     Rows,
     epoch_corrections,
     range_los,
-    range_rate,
 )
+from starwise.kernels.spp_rates import fill, predicted_variance, spp_velocity, threshold
 
 F8 = NDArray[np.float64]
 I4 = NDArray[np.int32]
 U1 = NDArray[np.uint8]
 
 MIN_RADIUS_M = 6.2e6  # a start nearer to the Earth's centre is a guess, not a place
-
-RATES_NONE = 0  # too few rates for a velocity
-RATES_UNCHECKED = 1  # exactly four: a velocity that nothing checks
-RATES_CHECKED = 2  # a velocity whose rates agree
-RATES_FAILED = 3  # rates that contradict each other, and no exclusion that helps
-UNCHECKED_VARIANCE = 100.0  # factor on the covariance of a velocity that nothing checks: sigma times ten
 
 FILTER_RATES_USED = 0  # rates take part in the filter
 FILTER_RATES_WAIT = 1  # left out after a start until the codes alone have determined the velocity
@@ -74,22 +68,9 @@ class EpochOut(NamedTuple):
 
 
 @njit
-def _fill(values: F8, value: float) -> None:
-    """Set all elements (a loop compiles faster than a slice)."""
-    for i in range(len(values)):
-        values[i] = value
-
-
-@njit
-def threshold(table: F8, dof: int) -> float:
-    """Threshold for ``dof`` degrees of freedom (or rows) out of a table by that number."""
-    return float(table[min(dof, len(table) - 1)])
-
-
-@njit
 def dops(out: RowModel, start: int, end: int, result: F8) -> None:
     """GDOP, PDOP, HDOP, VDOP of the used rows, one common clock (Groves 9.4.3); NaN below four satellites."""
-    _fill(result, np.nan)
+    fill(result, np.nan)
     N = np.zeros((4, 4))
     h = np.empty(4)
     n = 0
@@ -172,17 +153,6 @@ def _normal_equations(
 
 
 @njit
-def _predicted_variance(ux: float, uy: float, uz: float, Q: F8, c: int) -> float:
-    """Variance h Q h' of a pseudorange predicted by the solution; its clock is element c."""
-    return float(
-        ux * (Q[0, 0] * ux + 2.0 * (Q[0, 1] * uy + Q[0, 2] * uz - Q[0, c]))
-        + uy * (Q[1, 1] * uy + 2.0 * (Q[1, 2] * uz - Q[1, c]))
-        + uz * (Q[2, 2] * uz - 2.0 * Q[2, c])
-        + Q[c, c]
-    )
-
-
-@njit
 def _worst_row(
     rows: Rows, start: int, end: int, x: F8, column: NDArray[np.int64], Q: F8, out: RowModel
 ) -> tuple[int, float]:
@@ -192,7 +162,7 @@ def _worst_row(
         if out.status[i] != ROW_USED:
             continue
         _, _, ux, uy, uz = range_los(x[0], x[1], x[2], rows.sat_pos[i, 0], rows.sat_pos[i, 1], rows.sat_pos[i, 2])
-        s = out.code_var[i] - _predicted_variance(ux, uy, uz, Q, column[rows.clock[i]])
+        s = out.code_var[i] - predicted_variance(ux, uy, uz, Q, column[rows.clock[i]])
         out.s_code[i] = max(s, 0.0)
         if s < 1e-6 * out.code_var[i]:
             continue  # the only satellite of its clock: nothing checks it
@@ -218,125 +188,7 @@ def _excluded_rows(rows: Rows, start: int, end: int, x: F8, column: NDArray[np.i
             continue  # the last of its clock
         model = rho + sagnac + x[3 + clk] - rows.clock_m[i] + out.troposphere[i] + out.ionosphere[i]
         out.v_code[i] = rows.code_m[i] - model
-        out.s_code[i] = out.code_var[i] + _predicted_variance(ux, uy, uz, Q, column[clk])
-
-
-@njit
-def _rate_equations(
-    rows: Rows, start: int, end: int, px: float, py: float, pz: float, vel: F8, N: F8, g: F8, out: RowModel
-) -> float:
-    """Normal equations of velocity and drift, residuals of all rates of used satellites, weighted sum of squares."""
-    h = np.empty(4)
-    for a in range(4):
-        g[a] = 0.0
-        for b in range(4):
-            N[a, b] = 0.0
-    sse = 0.0
-    for i in range(start, end):
-        if out.status[i] != ROW_USED or rows.rate_mps[i] != rows.rate_mps[i]:
-            continue
-        _, _, ux, uy, uz = range_los(px, py, pz, rows.sat_pos[i, 0], rows.sat_pos[i, 1], rows.sat_pos[i, 2])
-        model = range_rate(px, py, vel[0], vel[1], vel[2], ux, uy, uz, rows.sat_pos, rows.sat_vel, i)
-        v = rows.rate_mps[i] - (model + vel[3] - rows.drift_mps[i])
-        out.v_rate[i] = v
-        if out.rate_used[i] == 0:
-            continue
-        w = 1.0 / out.rate_var[i]
-        h[0], h[1], h[2], h[3] = -ux, -uy, -uz, 1.0
-        for a in range(4):
-            g[a] += w * h[a] * v
-            for b in range(a + 1):
-                N[a, b] += w * h[a] * h[b]
-        sse += w * v * v
-    return sse
-
-
-@njit
-def _worst_rate(rows: Rows, start: int, end: int, px: float, py: float, pz: float, Pv: F8, out: RowModel) -> int:
-    """Rate with the largest normalised residual, -1 if none is redundant; writes ``s_rate``."""
-    worst, worst_w2 = -1, 0.0
-    for i in range(start, end):
-        if out.rate_used[i] == 0:
-            continue
-        _, _, ux, uy, uz = range_los(px, py, pz, rows.sat_pos[i, 0], rows.sat_pos[i, 1], rows.sat_pos[i, 2])
-        s = out.rate_var[i] - _predicted_variance(ux, uy, uz, Pv, 3)
-        out.s_rate[i] = max(s, 0.0)
-        if s < 1e-6 * out.rate_var[i]:
-            continue
-        w2 = out.v_rate[i] * out.v_rate[i] / s
-        if w2 > worst_w2:
-            worst, worst_w2 = i, w2
-    return worst
-
-
-@njit
-def spp_velocity(
-    options: SppOptions, rows: Rows, start: int, end: int, px: float, py: float, pz: float,
-    vel: F8, Pv: F8, out: RowModel,
-) -> int:  # fmt: skip
-    """Velocity and one clock drift from the Doppler rows of the used satellites of an epoch.
-
-    Five or more rates have to pass a chi-square test; with two or more to spare the one with the largest normalised
-    residual goes first, and the next, up to ``options.max_excluded`` of them. Without that there is no velocity.
-    Four rates give a velocity that nothing checks: its covariance is `UNCHECKED_VARIANCE` times the formal one.
-
-    Parameters
-    ----------
-    vel : (4,)
-        Out: velocity (m/s, ECEF) and clock drift (m/s); NaN without a solution.
-    Pv : (4, 4)
-        Out: its covariance.
-
-    Returns
-    -------
-    int
-        ``RATES_*``.
-    """
-    N = np.empty((4, 4))
-    g = np.empty(4)
-    _fill(vel, 0.0)
-    n = 0
-    for i in range(start, end):
-        ok = out.status[i] == ROW_USED and rows.rate_mps[i] == rows.rate_mps[i]
-        out.rate_used[i] = 1 if ok else 0
-        out.v_rate[i], out.s_rate[i] = np.nan, np.nan
-        n += 1 if ok else 0
-    n_all = n
-    result = RATES_NONE
-    while n >= 4:
-        solved, sse = False, 0.0
-        for _ in range(2):  # linear but for the tiny Sagnac rate
-            sse = _rate_equations(rows, start, end, px, py, pz, vel, N, g, out)
-            solved = cholesky(N, 4)
-            if not solved:
-                break
-            cholesky_solve(N, g, 4)
-            for a in range(4):
-                vel[a] += g[a]
-        if not solved:
-            result = RATES_NONE if n == n_all else RATES_FAILED
-            break
-        _rate_equations(rows, start, end, px, py, pz, vel, N, g, out)
-        cholesky(N, 4)
-        cholesky_inverse(N, Pv, 4)
-        worst = _worst_rate(rows, start, end, px, py, pz, Pv, out)
-        if n == 4:
-            for a in range(4):
-                for b in range(4):
-                    Pv[a, b] *= UNCHECKED_VARIANCE
-            return RATES_UNCHECKED
-        if sse <= threshold(options.chi2, n - 4):
-            return RATES_CHECKED
-        if not options.fde or n < 6 or worst < 0 or n_all - n + 1 > options.max_excluded * n_all:
-            result = RATES_FAILED
-            break
-        out.rate_used[worst] = 0
-        n -= 1
-    _fill(vel, np.nan)
-    for i in range(start, end):
-        out.rate_used[i] = 0
-        out.v_rate[i], out.s_rate[i] = np.nan, np.nan
-    return result
+        out.s_code[i] = out.code_var[i] + predicted_variance(ux, uy, uz, Q, column[clk])
 
 
 @njit
@@ -380,8 +232,8 @@ def spp_epoch(
     excluded = np.zeros(end - start, np.bool_)
     kept = np.zeros(3 + nc)  # the solution before the last exclusion
     n_excluded, last, final = 0, -1, False
-    _fill(numbers, 0.0)
-    _fill(vel, np.nan)
+    fill(numbers, 0.0)
+    fill(vel, np.nan)
     for a in range(3 + nc):
         for b in range(3 + nc):
             P[a, b] = np.nan
@@ -467,7 +319,7 @@ def spp_epoch(
         n_excluded += 1
         solved = False
     if not solved:
-        _fill(x, np.nan)
+        fill(x, np.nan)
         for i in range(start, end):
             if out.status[i] == ROW_USED or out.status[i] == ROW_EXCLUDED:
                 out.status[i] = ROW_EPOCH_UNSOLVED
@@ -492,7 +344,9 @@ def spp_epoch(
         for j in range(nc):
             if column[j] >= 0:
                 P[3 + k, 3 + j] = Q[column[k], column[j]]
-    numbers[3] = spp_velocity(options, rows, start, end, x[0], x[1], x[2], vel, Pv, out)
+    numbers[3] = spp_velocity(
+        options.fde, options.chi2, options.max_excluded, rows, start, end, x[0], x[1], x[2], vel, Pv, out
+    )
     radius = math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
     if final or radius < MIN_RADIUS_M or dof < 1 or sse > threshold(options.chi2, dof):
         return EPOCH_SUSPECT
@@ -527,13 +381,13 @@ def spp_run(model: ModelOptions, options: SppOptions, epochs: Epochs, rows: Rows
             if tie[k] == tie[k]:
                 now_var[k] += options.tie_sigma_m**2 * (now - tie_at[k])
         if x[0] != x[0]:
-            _fill(x, 0.0)
+            fill(x, 0.0)
         status = spp_epoch(
             model, options, epochs.t_ns[e], rows, start, end, now_tie, now_var, x, P, vel, Pv, numbers, out
         )
         if status == EPOCH_NO_SOLUTION:
             # A start taken from a wrong place could be why: once more from the Earth's centre.
-            _fill(x, 0.0)
+            fill(x, 0.0)
             status = spp_epoch(
                 model,
                 options,
