@@ -1,5 +1,5 @@
 # Everything from a clean checkout: python 3.11 or newer, make and pip are all that is needed.
-#   make demo    the main job on data that ship with the package
+#   make demo    the main job on a simulated drive in a town
 #   make test    all tests
 #   make lint    style, types, and which module may import which
 #   make bench   accuracy and speed tables (needs ../shared/data or STARWISE_SHARED_DATA, and Debian's rtklib)

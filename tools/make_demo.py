@@ -1,4 +1,4 @@
-"""Make the data of `starwise demo`: a drive of ten minutes under a sky of GPS, Galileo and BeiDou, all synthetic.
+"""Make the short drive of tests and warm-up: ten minutes under a sky of GPS, Galileo and BeiDou, all synthetic.
 
     python tools/make_demo.py [DIRECTORY]        default: src/starwise/demo/data
 

@@ -231,7 +231,7 @@ def demo(
     ),
     as_json: Json = False,
 ) -> None:
-    """The main job on data that ship with the package, judged against their truth."""
+    """The main job on a simulated drive in a town, judged against its truth."""
     from starwise.demo import run_demo
 
     with _Progress(as_json) as progress:

@@ -1,12 +1,11 @@
-"""The main job on data that ship with the package: synthetic, made by ``tools/make_demo.py``.
+"""The main job on a simulated drive: simulated into files, solved from those files, judged against the truth.
 
-Ten minutes of a drive at 1 Hz under GPS, Galileo and BeiDou. For two minutes one satellite lies by 60 m; for fifty
-seconds the vehicle stands in a street canyon with few satellites and reflected signals.
+The drive is the scenario ``urban-drive`` of the package: ten minutes between houses at 1 Hz under four systems, with a
+street canyon, a satellite that drifts away, a tunnel, and a receiver that sets its clock.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,9 @@ from starwise.report.text import solve_text
 
 METHODS = ("lsq", "s3ekf")
 """Compared by the demo; the last one's files are shown."""
+SCENARIO = "urban-drive"
+SIMULATED = "simulated"
+"""Folder of the simulation's files in the demo's directory."""
 
 
 @dataclass(frozen=True)
@@ -27,12 +29,12 @@ class Outcome:
 
 
 def run_demo(directory: str | Path, progress: Callable[[str, float], None] | None = None) -> Outcome:
-    """Solve and assess the data of the package.
+    """Simulate a drive, solve its files and assess the solutions.
 
     Parameters
     ----------
     directory : path-like
-        Where the results go: a directory per method, and a picture of the track.
+        Where the results go: the simulation's files, a directory per method, and a picture of the track.
     progress : callable, optional
 
     Raises
@@ -41,38 +43,60 @@ def run_demo(directory: str | Path, progress: Callable[[str, float], None] | Non
         The directory cannot be written.
     """
     import time
+    from concurrent.futures import ThreadPoolExecutor
 
+    from starwise.errors import StarwiseError
     from starwise.io.truth import read_truth
     from starwise.report.track import track_svg
+    from starwise.sim.run import simulate
+    from starwise.sim.scenario import load_scenario
+    from starwise.sim.writers import write_files
+    from starwise.warmup import COMPILING, ensure_warm
 
     folder = Path(directory)
     say = progress or (lambda _what, _fraction: None)
     began = time.perf_counter()
+    say("simulating", 0.0)
+    with ThreadPoolExecutor(1) as pool:  # the simulator's kernels are compiled here, meanwhile others elsewhere
+        warm = pool.submit(ensure_warm, lambda: say(COMPILING, 0.0))
+        scenario = load_scenario(SCENARIO, {"output.truth": "csv", "output.imu": False})
+        files = write_files(simulate(scenario), folder / SIMULATED)
+        warm.result()
+    truth = read_truth(str(files["truth"]))
     reports: dict[str, dict[str, Any]] = {}
-    with resources.as_file(resources.files("starwise.demo") / "data") as data:
-        truth = read_truth(str(data / "demo_truth.csv"))
-        for i, method in enumerate(METHODS):
-            solution = api.solve(
-                data / "demo_MO.rnx.gz",
-                data / "demo_MN.rnx.gz",
-                output=folder / method,
-                progress=lambda what, part, i=i: say(what, (i + part) / len(METHODS)),  # type: ignore[misc]
-                method=method,
-            )
-            reports[method] = api.assess(solution, truth)
+    for i, method in enumerate(METHODS):
+        solution = api.solve(
+            files["observations"],
+            files["navigation"],
+            output=folder / method,
+            progress=lambda what, part, i=i: say(what, (1 + i + part) / (1 + len(METHODS))),  # type: ignore[misc]
+            method=method,
+        )
+        reports[method] = api.assess(solution, truth)
     picture = folder / "track.svg"
     shown = read_solution(folder / METHODS[-1], ledger=False)
-    picture.write_text(track_svg(shown, truth, title=f"starwise demo, {METHODS[-1]}"), encoding="utf-8")
+    try:
+        picture.write_text(track_svg(shown, truth, title=f"{SCENARIO}, {METHODS[-1]}"), encoding="utf-8")
+    except OSError as error:
+        raise StarwiseError(f"cannot be written ({error.strerror})", file=picture) from None
     say("done", 1.0)
-    text = solve_text(solution.provenance, folder / METHODS[-1], time.perf_counter() - began)
-    record = {"directory": str(folder), "picture": str(picture), "assessment": reports}
-    return Outcome("\n".join([text, "", *_table(reports), "", *_where(folder)]), record)
+    text = solve_text(shown.provenance, folder / METHODS[-1], time.perf_counter() - began)
+    record = {
+        "directory": str(folder),
+        "picture": str(picture),
+        "scenario": SCENARIO,
+        "simulated": {kind: str(path) for kind, path in files.items()},
+        "assessment": reports,
+    }
+    head = [f"simulated     {SCENARIO} (seed {scenario.seed}): {scenario.description}"]
+    return Outcome("\n".join([*head, text, "", *_table(reports), "", *_where(folder)]), record)
 
 
 def _table(reports: dict[str, dict[str, Any]]) -> list[str]:
     rows = [f"against the truth {'':4}" + "".join(f"{method:>12}" for method in reports)]
     for key, label in (
         ("epochs_solved", "epochs solved"),
+        ("epochs_flagged", "of them flagged"),
         ("rms_2d_m", "RMS 2D, m"),
         ("rms_3d_m", "RMS 3D, m"),
         ("p95_3d_m", "95 % 3D, m"),
@@ -80,6 +104,8 @@ def _table(reports: dict[str, dict[str, Any]]) -> list[str]:
     ):
         cells = (report[key] for report in reports.values())
         rows.append(f"{label:<22}" + "".join(_cell(value) for value in cells))
+    cells = (report["unflagged"]["rms_3d_m"] for report in reports.values())
+    rows.append(f"{'not flagged, RMS 3D, m':<22}" + "".join(_cell(value) for value in cells))
     return rows
 
 
@@ -90,12 +116,18 @@ def _cell(value: float | int | None) -> str:
 
 
 def _where(folder: Path) -> list[str]:
-    last = folder / METHODS[-1]
+    last = METHODS[-1]
+    files = (
+        ("track.svg", "the track and its errors, in any browser"),
+        (f"{last}/solution.pos", "for RTKPLOT and other readers of RTKLIB files"),
+        (f"{last}/ledger.parquet", "why each satellite was used or refused"),
+        (f"{last}/run.json", "what exactly was run, on what"),
+        (f"{SIMULATED}/", "RINEX, truth, and the scenario as it was run"),
+    )
+    truth = folder / SIMULATED / f"{SCENARIO}_truth.csv"
     return [
-        "where to look",
-        f"  {folder}/track.svg               the track and its errors, in any browser",
-        f"  {last}/solution.pos      for RTKPLOT and other readers of RTKLIB files",
-        f"  {last}/ledger.parquet    why each satellite was used or refused",
-        f"  {last}/run.json          what exactly was run, on what",
-        f"try: starwise assess {last} --truth X,Y,Z",
+        f"where to look in {folder}/",
+        *(f"  {name:<22}  {what}" for name, what in files),
+        f"try: starwise assess {folder / last} \\",
+        f"         --truth {truth}",
     ]

@@ -59,7 +59,8 @@ def _track(solution: Solution, keep: NDArray[np.bool_], truth: Truth | None, ori
         return list(zip(x[inside].tolist(), y[inside].tolist(), strict=True))
 
     flagged = np.isin(solution.status[keep], (EPOCH_SUSPECT, EPOCH_COASTED))
-    length = 10.0 ** np.floor(np.log10(span / 3))
+    decade = 10.0 ** np.floor(np.log10(span / 3))
+    length = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= span / 3)
     x1 = _MARGIN + length * scale
     return [
         _line(place(true), "truth"),
@@ -67,7 +68,8 @@ def _track(solution: Solution, keep: NDArray[np.bool_], truth: Truth | None, ori
         *(f'<circle class="flag" cx="{x:.1f}" cy="{y:.1f}" r="2"/>' for x, y in place(enu[flagged])),
         f'<path class="axis" d="M{_MARGIN:g} {_TRACK - 30:g}H{x1:.1f}"/>',
         f'<text x="{_MARGIN:g}" y="{_TRACK - 36:g}">{length:g} m</text>',
-        f'<text text-anchor="end" x="{_WIDTH - 16:g}" y="24">grey: truth, blue: estimate, red: flagged</text>',
+        f'<text text-anchor="end" x="{_WIDTH - 16:g}" y="24">grey: truth, blue: estimate, '
+        "red: flagged (suspect or coasted)</text>",
     ]
 
 
@@ -83,7 +85,9 @@ def _errors(solution: Solution, truth: Truth) -> list[str]:
     out: list[str] = []
     for i, name in enumerate(("east", "north", "up")):
         error, band = matched.error_n[:, i], 2 * np.sqrt(cov[:, i, i])
-        limit = max(float(np.percentile(np.maximum(np.abs(error), np.nan_to_num(band)), 98)) * 1.1, 0.01)
+        # Errors in full but for a few outliers; the band of a long coasted stretch may leave the panel.
+        widest = max(np.percentile(np.abs(error), 99.5), np.percentile(np.nan_to_num(band), 90))
+        limit = max(float(widest) * 1.1, 0.01)
         zero = _TRACK + 20 + _PANEL * (i + 0.5)
         unit = (_PANEL - 14) / 2 / limit
 
