@@ -60,9 +60,7 @@ def ecef_from_geodetic(llh: ArrayLike) -> FloatArray:
     lat, lon, h = g[..., 0], g[..., 1], g[..., 2]
     s, c = np.sin(lat), np.cos(lat)
     n = WGS84_A / np.sqrt(1.0 - WGS84_E2 * s * s)
-    return np.stack(
-        [(n + h) * c * np.cos(lon), (n + h) * c * np.sin(lon), (n * (1.0 - WGS84_E2) + h) * s], axis=-1
-    )
+    return np.stack([(n + h) * c * np.cos(lon), (n + h) * c * np.sin(lon), (n * (1.0 - WGS84_E2) + h) * s], axis=-1)
 
 
 def C_ne_enu(lat: float, lon: float) -> FloatArray:
