@@ -69,7 +69,7 @@ def solve_run(
         nis=ep.nis,
         dof=ep.dof,
         ledger=make_ledger(obs, prepared, out),
-        provenance={"notes": [*prepared.notes, *_white_note(config)]},
+        provenance={"notes": [*prepared.notes, *_filter_notes(ep, config)]},
     )
     say("done", 1.0)
     return solution
@@ -83,13 +83,17 @@ def _estimate(prepared: Prepared, config: RunConfig) -> tuple[EpochOut, RowModel
     return run_filter(prepared, config)
 
 
-def _white_note(config: RunConfig) -> tuple[str, ...]:
-    if config.method == "lsq" or config.error_model != "white":
+def _filter_notes(ep: EpochOut, config: RunConfig) -> tuple[str, ...]:
+    """What a user of a filter should know of this run."""
+    if config.method == "lsq":
         return ()
-    return (
+    from starwise.estimators.filter import filter_notes
+
+    white = (
         "errors are taken as white, and real ones last for minutes: the filter's sigmas are smaller than its errors, "
-        "the more so the higher the rate",
+        "the more so the higher the rate"
     )
+    return (*filter_notes(ep), *((white,) if config.error_model == "white" else ()))
 
 
 def make_ledger(obs: Observations, prepared: Prepared, out: RowModel) -> dict[str, NDArray[Any]]:

@@ -63,11 +63,11 @@ UNKNOWN_GROUP_DELAY_SIGMA_M = 3.0
 EPHEMERIS_SIGMA_M = np.array([0.8, 5.0, 0.4, 1.2, 1.0, 2.0, 5.0])
 """Orbit and clock error of broadcast ephemerides in the line of sight as measured against precise products, 1 sigma m,
 G R E C J I S (Montenbruck, Steigenberger, Hauschild, "Multi-GNSS signal-in-space range error assessment", Adv. Space
-Res. 61, 2018, and their later tables; geostationary and old satellites counted in). GLONASS: about 2.5 m of that, and the
-delays of its channels, for which nobody broadcasts a correction: 5 m, as RTKLIB takes them, too."""
+Res. 61, 2018, and their later tables; geostationary and old satellites counted in). GLONASS: about 2.5 m of that,
+and the delays of its channels, for which nobody broadcasts a correction: 5 m, as RTKLIB takes them, too."""
 EPHEMERIS_BEST_CLAIM_M = np.array([2.5, 5.0, 3.2, 2.5, 2.5, 2.5, 5.0])
 """Claims up to here, m, are the best index that a system broadcasts (URA 0: 2.4 m, IS-GPS-200N 20.3.3.3.1.3;
-SISA 3.12 m, the only value that Galileo uses; 5 m stands for none): bounds for integrity, far above the real error.
+SISA 3.12 m, the only value that Galileo uses; 5 m stands for none): bounds for integrity, above the real error.
 What a claim, or the age of a record, has beyond that is added in variance."""
 CODE_SIGMA_M = {SYS_R: 0.8}
 """Code noise and multipath at the zenith and 45 dB-Hz, m; 0.4 m elsewhere. GLONASS chips are twice as long as those of
