@@ -156,8 +156,8 @@ def detect(data: bytes) -> FileKind:
     if first.startswith("%=BIA"):
         return FileKind("bias", first[5:10].strip())
     if "RINEX VERSION / TYPE" in first and first[20:23].strip() == "C":
-        # CLK 3.04 moved its labels to column 66 and the type to column 22 (RINEX clock 3.04 table 1).
-        return FileKind("clk", version, system)
+        # CLK 3.04 moved its labels to column 66, the type to 22 and the system to 43 (RINEX clock 3.04 table 1).
+        return FileKind("clk", version, first[42:43].strip())
     return FileKind("unknown")
 
 
