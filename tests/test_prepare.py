@@ -113,3 +113,13 @@ def test_singular_covariance_does_not_improve_the_score() -> None:
     assert assess(solution, truth)["coverage_95"] == 1.0
     solution.cov_pos[:5] = 0.0
     assert assess(solution, truth)["coverage_95"] == pytest.approx(1.0 - 5 / solution.n_epochs)
+
+
+def test_files_of_two_receivers_are_refused() -> None:
+    from starwise.io.rinex_obs import read_obs, splice
+
+    one = read_obs(DATA / "demo_MO.rnx.gz")
+    other = Observations(**{**one.__dict__, "code_m": one.code_m + 1000.0})
+    with pytest.raises(StarwiseError, match="different receivers"):
+        splice([one, other])
+    assert splice([one, one]).n_epochs == one.n_epochs

@@ -1,4 +1,4 @@
-"""starwise: satellite and satellite/inertial navigation filters with a covariance one can believe.
+"""starwise: satellite and satellite/inertial navigation filters, and the means to check them.
 
 The main entry points, imported when first used so that ``import starwise`` costs nothing:
 

@@ -16,7 +16,7 @@ from starwise.terminal import show_json as _print_json
 
 app = typer.Typer(
     name="starwise",
-    help="Satellite navigation: raw observations in, a trajectory out, with a covariance one can believe.",
+    help="Satellite navigation: raw observations in, a trajectory out, with its covariance and the means to check it.",
     add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},

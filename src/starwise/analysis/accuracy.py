@@ -65,6 +65,8 @@ def match(solution: Solution, truth: Truth, *, tolerance_s: float = 0.05, interp
     interpolate : bool
         Interpolate the truth linearly to the epoch between rows at most 1.5 s apart, instead of taking the nearest.
     """
+    if not 0.0 <= tolerance_s < 1e6:  # NaN is refused, too
+        raise StarwiseError("tolerance is not a time", found=f"{tolerance_s}", wanted="seconds, 0 or more")
     solved = np.flatnonzero(solution.has_position & (solution.status != EPOCH_NO_SOLUTION))
     if truth.t_ns is None:
         true_e = np.broadcast_to(truth.pos_e, (len(solved), 3))

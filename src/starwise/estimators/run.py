@@ -90,8 +90,8 @@ def _filter_notes(ep: EpochOut, config: RunConfig) -> tuple[str, ...]:
     from starwise.estimators.filter import filter_notes
 
     white = (
-        "errors are taken as white, and real ones last for minutes: the filter's sigmas are smaller than its errors, "
-        "the more so the higher the rate"
+        "sigmas hold if errors are white; real ones last for minutes, and then the filter's sigmas come out smaller "
+        "than its errors, the more so the higher the rate"
     )
     return (*filter_notes(ep), *((white,) if config.error_model == "white" else ()))
 

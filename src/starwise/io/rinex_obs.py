@@ -107,12 +107,34 @@ def splice(parts: Sequence[Observations]) -> Observations:
         problems=tuple(p for part in parts for p in part.problems),
         **joined,
     )
+    _one_receiver(parts)
     n_same = int(both.n_epochs - len(np.unique(both.t_ns)))
     if n_same:
         file = " ".join(sorted({p.file for p in both.problems})) or "several files"
         what = "epoch that another file has already: dropped"
         both = replace(both, problems=(*both.problems, Problem(file, 1, what, n_same)))
     return _in_order(both)
+
+
+def _one_receiver(parts: Sequence[Observations]) -> None:
+    """Refuse files that disagree about the same epochs: two receivers do not make one trajectory."""
+    known: dict[int, float] = {}
+    same = other = 0
+    for part in parts:
+        if not part.n_epochs:
+            continue
+        sums = np.add.reduceat(np.append(np.nan_to_num(part.code_m), 0.0), part.offsets[:-1])
+        for t, total in zip(part.t_ns.tolist(), sums.tolist(), strict=True):
+            if t in known:
+                same, other = same + (known[t] == total), other + (known[t] != total)
+            else:
+                known[t] = total
+    if other > max(same, 2):
+        raise StarwiseError(
+            "observation files of different receivers",
+            found=f"{other} epochs that stand in two files with different pseudoranges",
+            wanted="the files of one receiver",
+        )
 
 
 def _in_order(obs: Observations) -> Observations:

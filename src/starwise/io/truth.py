@@ -61,6 +61,10 @@ def read_truth(where: str) -> Truth:
         )
     if path.is_file() and path.suffix.lower() in (".csv", ".txt"):
         return _read_table(path)
+    if path.is_file() and path.suffix.lower() == ".parquet":
+        simulated = _simulated_truth(path)
+        if simulated is not None:
+            return simulated
     solution = read_solution(path, ledger=False)
     if solution.provenance.get("height") == "geodetic":
         raise StarwiseError("heights of the truth are above the geoid", file=path, wanted="ellipsoidal heights")
@@ -70,10 +74,27 @@ def read_truth(where: str) -> Truth:
     return Truth(solution.pos_e[keep], solution.t_ns[keep], str(path), solution.vel_e[keep])
 
 
+def _simulated_truth(path: Path) -> Truth | None:
+    """Truth of a simulation; None if the table is another one (a solution has a status)."""
+    import polars as pl
+
+    position = ["pos_x_m", "pos_y_m", "pos_z_m"]
+    try:
+        columns = pl.read_parquet_schema(path)
+        if "status" in columns or not {"t_gpst_ns", *position} <= set(columns):
+            return None
+        table = pl.read_parquet(path, columns=["t_gpst_ns", *position])
+    except (OSError, pl.exceptions.PolarsError) as error:
+        raise StarwiseError(f"not a table ({error})", file=path) from None
+    return Truth(table.select(position).to_numpy(), table["t_gpst_ns"].to_numpy(), str(path))
+
+
 def _point(values: Sequence[float], where: str) -> Truth:
     if not np.isfinite(values).all():
         raise StarwiseError("truth is not finite", found=where)
-    if np.linalg.norm(values) > 1e6:
+    if np.linalg.norm(values) > 1e6 or not any(values):
+        if not 6.2e6 < np.linalg.norm(values) < 5e7:
+            raise StarwiseError("truth is not a place on or above the Earth", found=where, wanted="ECEF metres")
         return Truth(np.array(values), source=where)
     lat, lon, h = values
     if abs(lat) > 90.0 or abs(lon) > 360.0:
