@@ -70,6 +70,8 @@ def test_whole_job(solved: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert sorted(p.name for p in solved.iterdir()) == sorted(RESULT_FILES)
     record = json.loads((solved / "run.json").read_text())
     assert record["config"]["method"] == "lsq"
+    assert record["effective"]["process"]["model"] == "singer"
+    assert record["effective"]["signals"]["G"][0] == "1C"
     assert {item["kind"] for item in record["inputs"]} == {"observations", "navigation"}
     assert all(len(item["sha256"]) == 64 for item in record["inputs"])
     assert record["summary"]["epochs_solved"] == record["summary"]["epochs"] == 90

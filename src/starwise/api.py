@@ -91,6 +91,7 @@ def _solve(inputs: Inputs, config: RunConfig, say: Progress, records: "Future[li
     provenance: dict[str, Any] = {
         "starwise": __version__,
         "config": config.to_dict(),
+        "effective": _effective(config),
         "inputs": records.result(),
         "station": _station(obs),
         "problems": [_problem(p) for p in (*obs.problems, *problems)],
@@ -98,6 +99,26 @@ def _solve(inputs: Inputs, config: RunConfig, say: Progress, records: "Future[li
         "summary": summarise(solution),
     }
     return replace(solution, provenance=provenance)
+
+
+def _effective(config: RunConfig) -> dict[str, Any]:
+    """Numbers behind what the configuration leaves to presets and tables."""
+    from dataclasses import asdict
+
+    from starwise.models.process import clocks_from, motion_from
+    from starwise.signals import DEFAULT_PAIRS, DEFAULT_PREFERENCE
+
+    own = config.signals or {}
+    built_in = (
+        {k: [*first, *second] for k, (first, second) in DEFAULT_PAIRS.items()}
+        if config.combination == "ionosphere_free"
+        else {k: list(v) for k, v in DEFAULT_PREFERENCE.items()}
+    )
+    return {
+        "process": asdict(motion_from(config)),
+        "clock": asdict(clocks_from(config)),
+        "signals": {k: list(own.get(k, built_in[k])) for k in config.systems},
+    }
 
 
 def _config(config: RunConfig | PathLike | None, options: Mapping[str, Any]) -> RunConfig:
