@@ -61,8 +61,9 @@ def _simulate_text(record: dict[str, Any], output: Path, seconds: float) -> str:
     lines += [f"  {kind:<13} {name}" for kind, name in record["files"].items()]
     for row in record.get("montecarlo", []):
         lines.append(
-            f"  {row['method']:<6} {row['runs']} runs, 2RMS over all epochs: horizontal {row['horizontal_2rms_m']:.3f} m,\n"
-            f"         vertical {row['vertical_2rms_m']:.3f} m, velocity {row['velocity_2rms_mps']:.3f} m/s"
+            f"  {row['method']:<6} {row['runs']} runs, 2RMS over all epochs:"
+            f" horizontal {row['horizontal_2rms_m']:.3f} m,\n         vertical {row['vertical_2rms_m']:.3f} m,"
+            f" velocity {row['velocity_2rms_mps']:.3f} m/s"
         )
     return "\n".join([*lines, f"  in {output}"])
 
