@@ -14,8 +14,8 @@ INTERRUPTED = 130
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code.
 
-    0: done. 2: bad input, one line on the error stream. 1: a defect of the program (with STARWISE_DEBUG=1 the
-    traceback is shown). 130: interrupted.
+    0: done. 2: bad input, one line on the error stream. 1: no epoch could be solved, or a defect of the program
+    (with STARWISE_DEBUG=1 the traceback is shown). 130: interrupted.
     """
     given = sys.argv[1:] if arguments is None else arguments
     if given in (["--version"], ["-V"]):
