@@ -463,6 +463,8 @@ class Inertial:
         Specific force, m/s^2; or its integral over the interval (in the turning body axes), m/s.
     increments : bool
         Whether the readings are integrals.
+    problems : tuple of Problem
+        What a reader found and dealt with. A gap is where ``dt_s`` is shorter than the step of ``t_ns``.
     """
 
     t_ns: I8
@@ -470,6 +472,47 @@ class Inertial:
     gyro: F8
     accel: F8
     increments: bool
+    problems: tuple[Problem, ...] = ()
+
+
+@dataclass(frozen=True)
+class Fixes:
+    """Positions (and velocities) from elsewhere, each with the time it is valid for and the time it is there.
+
+    Sorted by ``available_ns``, then ``t_ns``.
+
+    Attributes
+    ----------
+    t_ns : (n,) int64
+        Time that the fix is valid for, GPST ns.
+    available_ns : (n,) int64
+        Time from which on it can be used, GPST ns; never before ``t_ns``.
+    pos_e : (n, 3) float64
+        ECEF, m; NaN where there is none.
+    cov_pos : (n, 3, 3) float64
+        ECEF, m^2.
+    vel_e : (n, 3) float64 or None
+        ECEF, m/s; NaN where there is none.
+    cov_vel : (n, 3, 3) float64 or None
+        ECEF, m^2/s^2.
+    source : str
+        Where they came from, for people.
+    problems : tuple of Problem
+    """
+
+    t_ns: I8
+    available_ns: I8
+    pos_e: F8
+    cov_pos: F8
+    vel_e: F8 | None = None
+    cov_vel: F8 | None = None
+    source: str = ""
+    problems: tuple[Problem, ...] = ()
+
+    @property
+    def n(self) -> int:
+        """Number of fixes."""
+        return len(self.t_ns)
 
 
 @dataclass(frozen=True)
