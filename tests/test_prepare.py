@@ -1,5 +1,6 @@
 """From observations and an ephemeris to rows: units, claims of accuracy, notes, and configuration that is refused."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,13 @@ from starwise.analysis.accuracy import assess
 from starwise.config import RunConfig, load_config
 from starwise.constants import SYS_E, SYS_G, SYS_R
 from starwise.errors import StarwiseError
+from starwise.estimators.run import solve_run
 from starwise.gnsstime import parse_time
+from starwise.io.rinex_nav import read_nav
+from starwise.io.rinex_obs import read_obs
 from starwise.models.process import motion_from
 from starwise.models.pseudorange import EPHEMERIS_SIGMA_M, _ephemeris_sigma, _is_dbhz
+from starwise.physics.broadcast import BroadcastEphemeris
 from starwise.types import Observations, Truth
 
 DATA = Path(starwise.demo.__file__).parent / "data"
@@ -123,3 +128,16 @@ def test_files_of_two_receivers_are_refused() -> None:
     with pytest.raises(StarwiseError, match="different receivers"):
         splice([one, other])
     assert splice([one, one]).n_epochs == one.n_epochs
+
+
+def test_an_ephemeris_counts_from_its_transmission_on_unless_post_says_otherwise() -> None:
+    """All records are sent in the middle of the run: before that nothing is solved, and the user is told."""
+    obs, records = read_obs(DATA / "demo_MO.rnx.gz"), read_nav(DATA / "demo_MN.rnx.gz")
+    middle = int(obs.t_ns[obs.n_epochs // 2])
+    late = BroadcastEphemeris(replace(records, t_tx_ns=np.full(records.n, middle)))
+    config = RunConfig(method="lsq", interval_s=60.0)
+    now, later = (solve_run(obs, late, records.ionosphere, config.with_options({"post": p})) for p in (False, True))
+    assert (now.has_position == (now.t_ns >= middle)).all()
+    assert later.has_position.all()
+    assert any("--post" in note for note in now.provenance["notes"])
+    assert not any("--post" in note for note in later.provenance["notes"])

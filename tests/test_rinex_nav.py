@@ -151,10 +151,10 @@ class TestGps:
         assert r.toe_ns[0] == from_calendar(2024, 3, 31)
         assert r.t_tx_ns[0] == r.toe_ns[0] - 800 * NS
 
-    @pytest.mark.parametrize("t_tx", [0.9999e9, -0.9999e9, None, 90_000.0])
+    @pytest.mark.parametrize("t_tx", [0.9999e9, -0.9999e9, None, 0.0, 90_000.0])
     def test_no_transmission_time(self, tmp_path: Path, t_tx: float | None) -> None:
         r = one(tmp_path, header() + record("G01", GPS_CLOCK, kepler(t_tx=t_tx)))
-        assert r.t_tx_ns[0] == T_NS
+        assert r.t_tx_ns[0] == T_NS - 7200 * NS  # as a data set is sent by the rule
 
     @pytest.mark.parametrize(("what", "line", "column", "value"), BAD)
     def test_impossible_records_are_left_out(
@@ -310,6 +310,17 @@ class TestOtherSystems:
         assert (r.accuracy_m[0], r.health[0], r.iodc[0]) == (3.12, 130, -1)
         assert r.tgd[0, TGD_MAIN] == -2.1e-9
         np.testing.assert_equal(r.tgd[0, TGD_SECOND], -2.3e-9 if message == MSG_INAV else np.nan)
+
+    @pytest.mark.parametrize(
+        ("sv", "rule"), [("E11", 660), ("C21", 0), ("C03", 0), ("J02", -3600), ("I05", 0), ("G05", -7200)]
+    )
+    def test_records_without_transmission_time_are_known_when_such_are_sent(
+        self, tmp_path: Path, sv: str, rule: int
+    ) -> None:
+        """Seconds against toe at which a constellation begins to send a data set."""
+        rows = kepler(sqrt_a={"E": 5440.6, "C": 5282.6, "G": 5153.7}.get(sv[0], 6493.4), t_tx=None)
+        r = one(tmp_path, header() + record(sv, GPS_CLOCK, rows))
+        assert r.t_tx_ns[0] == r.toe_ns[0] + rule * NS
 
     @pytest.mark.parametrize(("sisa", "wanted"), [(-1.0, np.inf), (3.12, 3.12), (0.0, np.nan)])
     def test_galileo_accuracy(self, tmp_path: Path, sisa: float, wanted: float) -> None:

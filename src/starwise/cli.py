@@ -79,6 +79,13 @@ def solve(
     ] = None,
     ephemeris: Annotated[Path | None, typer.Option(metavar="SP3", help="Precise orbits.")] = None,
     clock: Annotated[Path | None, typer.Option(metavar="CLK", help="Precise clocks, with --ephemeris.")] = None,
+    post: Annotated[
+        bool | None,
+        typer.Option(
+            "--post/--no-post",
+            help="Nearest broadcast ephemeris, also one sent after the epoch; default only what had been sent by then.",
+        ),
+    ] = None,
     start: Annotated[
         str | None,
         typer.Option(metavar="T", help="First epoch: 2024-03-30T12:00:00 (GPST; with Z, UTC) or week:tow."),
@@ -108,6 +115,7 @@ def solve(
         "systems": systems,
         "mask_deg": mask,
         "dynamics": dynamics,
+        "post": post,
         "start": start,
         "end": end,
         "interval_s": interval,

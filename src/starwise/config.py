@@ -169,8 +169,8 @@ class RunConfig(Checked):
     """Least squares: fault detection and exclusion by residuals."""
     gate_probability: Annotated[float, Range(0.0, 0.5, open_low=True)] = 1e-3
     """Chance that the filter's gate refuses a satellite whose errors are as modelled."""
-    post: bool = True
-    """Allow broadcast records transmitted after the epoch (nearest in time); false: as in the field."""
+    post: bool = False
+    """Allow broadcast records transmitted after the epoch (nearest in time); false: what a receiver had then."""
     start: str | None = None
     """First epoch: ``2024-03-30T12:00:00`` (GPST), with ``Z`` UTC, or ``week:tow``."""
     end: str | None = None

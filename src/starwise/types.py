@@ -212,8 +212,8 @@ class BroadcastRecords:
     toc_ns, toe_ns : (n,) int64
         Clock and ephemeris reference times, GPST ns. GLONASS and SBAS: both are the epoch of the record.
     t_tx_ns : (n,) int64
-        Transmission time of the message, GPST ns; where the file does not say, `toe_ns` (GLONASS: message frame
-        time, or the record's epoch).
+        Transmission time of the message, GPST ns (GLONASS: message frame time); where the file does not say, when
+        such a data set is first sent as a rule (GPS 2 h before toe, Galileo 11 min after, BeiDou at toe).
     par : (n, N_EPH_PAR) float64
         Kepler records: columns ``K_*``; GLONASS and SBAS: ``R_*``; SI units and radians.
     tgd : (n, N_TGD) float64

@@ -44,7 +44,7 @@ from starwise.kernels.rangemodel import (
 )
 from starwise.models.select import select
 from starwise.signals import signal_name
-from starwise.types import F8, U1, Ephemeris, IonosphereModel, Observations, SatStates, Sightings
+from starwise.types import F8, I2, I8, U1, Ephemeris, IonosphereModel, Observations, SatStates, Sightings
 
 _ROW_OF_SAT = np.zeros(16, dtype=np.uint8)
 for _sat, _row in (
@@ -134,6 +134,8 @@ def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel
     clock_names, clock = _clocks(s, status)
     options, notes = model_options(config, ionosphere)
     notes = [*ephemeris.notes, *notes]
+    if not config.post:
+        notes += _waiting(ephemeris, t_rx[use], s.sv[use], s.code_m[use], states.status[use])
     cn0 = s.cn0_dbhz
     if not _is_dbhz(obs.header.cn0_unit, cn0[use]):
         cn0 = np.full(len(cn0), np.nan)
@@ -164,6 +166,19 @@ def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel
         status=status,
     )
     return Prepared(s, states, delay, row_status, rows, Epochs(s.t_ns, s.offsets), options, clock_names, tuple(notes))
+
+
+def _waiting(ephemeris: Ephemeris, t_rx_ns: I8, sv: I2, code_m: F8, status: NDArray[np.int8]) -> list[str]:
+    """A note on satellites whose ephemeris had not been sent yet: what ``post`` would add."""
+    late = np.flatnonzero((status == SAT_NO_EPHEMERIS) | (status == SAT_TOO_OLD))
+    if not len(late):
+        return []
+    later = ephemeris.states(t_rx_ns[late], sv[late], code_m[late], post=True).status
+    late = late[(later != SAT_NO_EPHEMERIS) & (later != SAT_TOO_OLD)]
+    if not len(late):
+        return []
+    rows = f"{len(late)} pseudoranges of {len(np.unique(sv[late]))} satellites wait"
+    return [f"{rows} for an ephemeris that had not been sent yet (--post takes it from the future)"]
 
 
 def _is_dbhz(unit: str, values: F8) -> bool:

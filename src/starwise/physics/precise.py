@@ -74,7 +74,8 @@ class PreciseEphemeris:
     def states(self, t_rx_ns: I8, sv: I2, code_m: F8, post: bool = False) -> SatStates:
         """Satellite states at transmission, ECEF of that instant; see `starwise.types.Ephemeris.states`.
 
-        ``post`` concerns only the broadcast record that supplies group delays: tables know all times.
+        ``post`` changes nothing: tables know all times. Group delays, which last for months, come from the nearest
+        broadcast record.
         """
         n = len(sv)
         if not len(t_rx_ns) == len(code_m) == n:
@@ -101,7 +102,7 @@ class PreciseEphemeris:
         if self.broadcast is None:
             out.record[:] = -1
         else:
-            out.record[:] = self.broadcast.states(t_rx_ns, sv, code_m, post).record
+            out.record[:] = self.broadcast.states(t_rx_ns, sv, code_m, post=True).record
         return out
 
     def group_delay(self, record: I4, sv: I2, sig: I2, sig2: I2) -> F8:

@@ -34,6 +34,7 @@ def solve_text(provenance: Mapping[str, Any], directory: str | Path, elapsed_s: 
     config, summary = provenance["config"], provenance["summary"]
     lines = [*_read_lines(provenance), ""]
     lines += _field("method", f"{config['method']}, {config['dynamics']} dynamics, mask {config['mask_deg']:g} deg")
+    lines += _field("ephemeris", _ephemeris(provenance))
     lines += _system_lines(summary)
     lines += _refused_lines(summary)
     lines += ["", *_result_lines(summary)]
@@ -41,6 +42,14 @@ def solve_text(provenance: Mapping[str, Any], directory: str | Path, elapsed_s: 
     lines += ["", *_field("results", f"{directory}/  solution.parquet ledger.parquet solution.pos run.json")]
     lines += _field("time", f"{elapsed_s:.2f} s")
     return "\n".join(lines)
+
+
+def _ephemeris(provenance: Mapping[str, Any]) -> str:
+    if any(item["kind"] == "orbits" for item in provenance["inputs"]):
+        return "precise orbits"
+    if provenance["config"]["post"]:
+        return "broadcast, the nearest in time, also from after the epoch"
+    return "broadcast, as sent by the time of the epoch"
 
 
 def _read_lines(provenance: Mapping[str, Any]) -> list[str]:
