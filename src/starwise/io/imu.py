@@ -184,7 +184,7 @@ def _scaled(tags: NDArray[Any], table: NDArray[Any], time: ImuTime, numbers: I8,
     if tags.dtype.kind == "i":
         ns = tags.astype(np.int64)
     else:
-        # whole units apart from fractions: unix seconds times 1e9 would lose the last digits
+        # whole units apart from fractions: the product with 1e9 would lose the last digits
         whole = np.floor(tags)
         per = round(time.unit_s * NS)
         ns = whole.astype(np.int64) * per + np.rint((tags - whole) * per).astype(np.int64)

@@ -213,7 +213,7 @@ def _speed(omega: F8, f: F8, dt: float) -> ImuFinding | None:
         return None  # mounted askew, or no curves: nothing to be said
     speed = float((turn * side).mean() / (turn * turn).mean())
     found = f"side force / rate of turn = {speed:.3g} m/s"
-    if abs(speed) > 700.0:
+    if abs(speed) > 400.0:
         return ImuFinding("gyro_unit", "turns too slow for their side force: rad read as deg?", found, "a speed", True)
     if 0.0 < abs(speed) < 0.5 and float(np.quantile(np.abs(turn), 0.99)) > 6.0:
         return ImuFinding("gyro_unit", "turns too fast for their side force: deg read as rad?", found, "a speed", True)
