@@ -23,8 +23,8 @@ def test_grow_by_a_clock_then_shrink_is_identity():
     x, P = belief(rng, 2)
     x0, P0 = x.copy(), P.copy()
     at, x2, P2 = np.array([0, -1, 1, -1, -1]), np.zeros(16), np.zeros((16, 16))
-    move_state(x, P, NK, at, np.array([0, 1, 2, -1, -1]), x2, P2)
-    enter_clock(x, P, NK, 3, 1, 0, 9.0, 0.25)
+    move_state(x, P, NK, 0, at, np.array([0, 1, 2, -1, -1]), x2, P2)
+    enter_clock(x, P, NK, 3, 0, 1, 0, 9.0, 0.25)
     assert list(at) == [0, 1, 2, -1, -1]
     # The new clock is the reference plus its own error: var(difference) is exactly that, and it is uncorrelated.
     n = NK + 6
@@ -33,7 +33,7 @@ def test_grow_by_a_clock_then_shrink_is_identity():
     assert P[NK + 4, NK + 4] + P[NK + 3, NK + 3] - 2 * P[NK + 4, NK + 3] == pytest.approx(0.25, abs=1e-12)
     assert np.linalg.eigvalsh(P[:n, :n])[0] > 0.0
     assert np.array_equal(P, P.T)
-    move_state(x, P, NK, at, np.array([0, -1, 1, -1, -1]), x2, P2)
+    move_state(x, P, NK, 0, at, np.array([0, -1, 1, -1, -1]), x2, P2)
     n = NK + 4
     assert np.array_equal(x[:n], x0[:n])
     assert np.array_equal(P[:n, :n], P0[:n, :n])
@@ -44,7 +44,7 @@ def test_forgetting_the_common_clock_keeps_differences_and_the_rest():
     x, P = belief(rng, 3)
     n = NK + 6
     x0, P0 = x.copy(), P.copy()
-    forget_common_clock(x, P, NK, 3, 100.0, 25.0)
+    forget_common_clock(x, P, NK, 3, 0, 100.0, 25.0)
     T = np.eye(n)  # clocks as differences to the first
     T[NK + 1, NK] = T[NK + 2, NK] = -1.0
     before, after = T @ P0[:n, :n] @ T.T, T @ P[:n, :n] @ T.T

@@ -133,6 +133,16 @@ DEFAULT_PREFERENCE: Final[dict[str, tuple[str, ...]]] = {
     "I": ("5A", "5B", "5C", "5X", "1P", "1X", "1D", "9A", "9B", "9C", "9X"),
     "S": ("1C", "5I", "5Q", "5X"),
 }
+# Second signal beside the first, uncombined: first those whose group delay is broadcast.
+DEFAULT_SECOND: Final[dict[str, tuple[str, ...]]] = {
+    "G": ("2W", "2P", "2Y", "2L", "2X", "2S", "2C", "5Q", "5X", "5I", "1C", "1W", "1P"),
+    "R": ("2C", "2P", "1C", "1P"),
+    "E": ("5Q", "5X", "5I", "7Q", "7X", "7I", "8Q", "8X", "8I", "1C", "1X", "1B"),
+    "C": ("6I", "6X", "6Q", "7I", "7X", "7Q", "5P", "5X", "5D", "2I", "2X", "2Q"),
+    "J": ("2L", "2X", "2S", "5Q", "5X", "5I", "1C", "1X"),
+    "I": ("5A", "5B", "5C", "5X", "9A", "9B", "9C", "9X"),
+    "S": ("5I", "5Q", "5X"),
+}
 # First and second signal of the ionosphere-free combination, in order of preference: each side takes the first present.
 DEFAULT_PAIRS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "G": (("1W", "1P", "1C", "1Y", "1X", "1L"), ("2W", "2P", "2Y", "2L", "2X", "2S", "2C", "5Q", "5X", "5I")),

@@ -181,8 +181,9 @@ def _filter() -> None:
 
     from starwise.config import RunConfig
     from starwise.estimators.filter import filter_options, filter_rows
-    from starwise.kernels import filter_clocks, filter_epoch, process
+    from starwise.kernels import colored, error_states, filter_clocks, filter_epoch, process
     from starwise.kernels.filter_state import Belief, Work, start_filter
+    from starwise.models.error_model import no_errors
     from starwise.models.process import clocks_from, motion_from, process_numbers
 
     config = RunConfig()
@@ -200,13 +201,20 @@ def _filter() -> None:
     belief = Belief(x, P, np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1, np.int64))
     F, G, M = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
     filter_epoch.update_epoch(options, rows, out, 0, x, P, nk, 1, belief.at, x2, P2, work)
-    filter_clocks.align_clocks(options, rows, out, 0, x, P, nk, 1, belief.at, work)
-    filter_clocks.activate_clocks(options, rows, out, 0, 0, nk, 1, belief, x2, P2, work)
+    filter_clocks.align_clocks(options, rows, out, 0, x, P, nk, 1, 0, belief.at, work)
+    filter_clocks.activate_clocks(options, rows, out, 0, 0, nk, 1, 0, belief, x2, P2, work)
     process.predict(x, P, nk, 1, 1.0, numbers, F, G, M)
     process.motion(numbers.kind, 1.0, numbers.tau_s, F, G)
     process.noise_shape(numbers, 6.4e6, 0.0, 0.0, M)
     start_filter(options, nk, 0, np.full(4, np.nan), np.zeros((4, 4)), np.zeros(4), np.zeros((4, 4)), 1.0, belief)
     filter_epoch.arrange(rows, out, 0, 0, work)
+    filter_epoch.tally(rows, out, 0, belief.at, work)
+    errors, extra = no_errors()
+    slots = error_states.Slots(belief.at, belief.at, belief.at, np.zeros(1, np.int64))
+    phi = np.ones(error_states.N_SKY)
+    error_states.predict_errors(errors, slots, x, P, nk, 1, 1.0, F, phi)
+    error_states.enter_satellites(errors, extra, work.order, 0, 0, slots, x, P, n)
+    colored.update_colored(options, errors, rows, extra, out, 0, x, P, nk, 1, belief.at, slots, x2, work)
     filter_clocks.count_missed(rows, 0, 0, belief, work)
     filter_rows(epochs, rows, model, 1, config)
 

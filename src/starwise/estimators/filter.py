@@ -4,10 +4,12 @@ import numpy as np
 
 from starwise.config import RunConfig
 from starwise.estimators.least_squares import chi_square_table, empty_epochs, spp_options
+from starwise.kernels.error_states import ErrorModel, ErrorRows
 from starwise.kernels.filter_run import filter_run
 from starwise.kernels.filter_state import FilterOptions
 from starwise.kernels.rangemodel import Epochs, ModelOptions, RowModel, Rows
 from starwise.kernels.spp import FILTER_RATES_IGNORED, EpochOut
+from starwise.models.error_model import MAX_SLOTS, no_errors
 from starwise.models.process import Clocks, Motion, clocks_from, motion_from, process_numbers
 from starwise.models.pseudorange import Prepared, empty_row_model
 from starwise.types import F8
@@ -23,7 +25,7 @@ def filter_options(config: RunConfig, motion: Motion, clocks: Clocks) -> FilterO
     """Numbers of the filter out of a configuration."""
     gate = chi_square_table(config.gate_probability, 3)
     return FilterOptions(
-        sequential=config.method == "s3ekf",
+        sequential=config.method != "ekf",
         gate1=float(gate[1]),
         gate2=float(gate[2]),
         chi2=chi_square_table(EPOCH_FALSE_ALARM),
@@ -35,6 +37,7 @@ def filter_options(config: RunConfig, motion: Motion, clocks: Clocks) -> FilterO
         intersystem_drift_sigma0=clocks.intersystem_drift_sigma0,
         clock_loose_m=100.0,  # a bad satellite of 100 m would still pass as a clock error
         lost_sigma_m=10_000.0,  # least squares from nothing is better: ranges bend by dx^2 / (2 rho) = 2 m there
+        memoryless=config.method == "lsq",
         absent_s=3600.0,  # the inter-system bias is still known to 0.3 m then; the state stays small
     )
 
@@ -47,7 +50,10 @@ def run_filter(prepared: Prepared, config: RunConfig) -> tuple[EpochOut, RowMode
     EpochOut, RowModel
         Per epoch and per sighting.
     """
-    return filter_rows(prepared.epochs, prepared.rows, prepared.options, len(prepared.clock_names), config)
+    return filter_rows(
+        prepared.epochs, prepared.rows, prepared.options, len(prepared.clock_names), config,
+        colored=(prepared.errors, prepared.error_rows),
+    )  # fmt: skip
 
 
 def filter_notes(ep: EpochOut) -> list[str]:
@@ -68,6 +74,7 @@ def filter_rows(
     n_clocks: int,
     config: RunConfig,
     start: tuple[F8, F8] | None = None,
+    colored: tuple[ErrorModel, ErrorRows] | None = None,
 ) -> tuple[EpochOut, RowModel]:
     """EKF or S3EKF over prepared rows, real or simulated.
 
@@ -82,6 +89,8 @@ def filter_rows(
     start : ((n,), (n, n)), optional
         Belief at the first epoch: kinematic states, clock bias, then drift, of every system; ECEF, SI. Without it
         the first epoch that least squares can solve starts the filter.
+    colored : (ErrorModel, ErrorRows), optional
+        Errors that last and their rows; without it errors are white.
 
     Returns
     -------
@@ -109,6 +118,8 @@ def filter_rows(
         rows,
         np.array(x0, dtype=np.float64),
         np.array(P0, dtype=np.float64),
+        *(colored or no_errors()),
+        MAX_SLOTS,
         ep,
         out,
     )

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starwise.config import RunConfig
-from starwise.constants import C_LIGHT, ROW_COMBINED, ROW_USED
+from starwise.constants import C_LIGHT, ROW_COMBINED, ROW_GATED, ROW_USED
 from starwise.estimators.least_squares import least_squares
 from starwise.kernels.rangemodel import RowModel
 from starwise.kernels.spp import EpochOut
@@ -76,7 +76,7 @@ def solve_run(
 
 
 def _estimate(prepared: Prepared, config: RunConfig) -> tuple[EpochOut, RowModel]:
-    if config.method == "lsq":
+    if config.method == "lsq" and config.error_model == "white":
         return least_squares(prepared, config)
     from starwise.estimators.filter import run_filter
 
@@ -105,19 +105,30 @@ def make_ledger(obs: Observations, prepared: Prepared, out: RowModel) -> dict[st
                + troposphere + ionosphere + innovation
 
     to rounding, all in metres (for least squares the innovation is the residual; for filters the receiver clock is the
-    predicted one). A group delay that is not broadcast is NaN and counts as 0. Rows of signals that were not chosen
-    have their status and NaN.
+    predicted one, and the innovation is what is left beside the error states as they were predicted). A group delay
+    that is not broadcast is NaN and counts as 0. The row of a second signal, taken beside the first, has its code, its
+    status and its innovation, conditioned on the first one's. Rows of signals that were not chosen have their status
+    and NaN.
     """
     s, n = prepared.sightings, obs.n_rows
     at = s.row
     status = prepared.row_status.copy()
     status[at] = out.status
-    second = s.row2 >= 0
-    status[s.row2[second]] = np.where(out.status[second] == ROW_USED, ROW_COMBINED, out.status[second])
+    second = np.flatnonzero(s.row2 >= 0)
+    beside = len(prepared.error_rows.code2_m) > 0 and bool(np.isfinite(prepared.error_rows.code2_m[second]).any())
+    used = (prepared.error_rows.used[second] & 2) != 0 if beside else out.status[second] == ROW_USED
+    taken = ROW_USED if beside else ROW_COMBINED
+    refused = np.where(out.status[second] == ROW_USED, ROW_GATED, out.status[second])
+    status[s.row2[second]] = np.where(used, taken, refused)
+    if len(prepared.error_rows.used):
+        first_refused = (out.status == ROW_USED) & (prepared.error_rows.used == 2)
+        status[at[first_refused]] = ROW_GATED
 
-    def spread(values: NDArray[Any]) -> NDArray[Any]:
+    def spread(values: NDArray[Any], other: NDArray[Any] | None = None) -> NDArray[Any]:
         result = np.full(n, np.nan)
         result[at] = values
+        if beside and other is not None:
+            result[s.row2[second]] = other[second]
         return result
 
     satellite_clock = C_LIGHT * prepared.states.clock_s
@@ -136,7 +147,7 @@ def make_ledger(obs: Observations, prepared: Prepared, out: RowModel) -> dict[st
         "elevation_rad": spread(out.elevation),
         "azimuth_rad": spread(out.azimuth),
         "cn0_dbhz": obs.cn0_dbhz,
-        "code_m": spread(s.code_m),
+        "code_m": spread(s.code_m, prepared.error_rows.code2_m),
         "geometric_m": spread(out.geometric),
         "sagnac_m": spread(out.sagnac),
         "satellite_clock_m": spread(satellite_clock),
@@ -145,8 +156,8 @@ def make_ledger(obs: Observations, prepared: Prepared, out: RowModel) -> dict[st
         "troposphere_m": spread(out.troposphere),
         "ionosphere_m": spread(out.ionosphere),
         "receiver_clock_m": spread(s.code_m - known - out.v_code),
-        "innovation_m": spread(out.v_code),
-        "innovation_var_m2": spread(out.s_code),
+        "innovation_m": spread(out.v_code, prepared.error_rows.v2),
+        "innovation_var_m2": spread(out.s_code, prepared.error_rows.s2),
         "rate_innovation_mps": spread(out.v_rate),
         "rate_innovation_var_m2ps2": spread(out.s_rate),
         "ephemeris_age_s": spread(prepared.states.age_s),

@@ -47,8 +47,9 @@ def _lead_with(rows: Rows, out: RowModel, m: int, x: F8, nk: int, at: I8, middle
 
 @njit
 def align_clocks(
-    options: FilterOptions, rows: Rows, out: RowModel, m: int, x: F8, P: F8, nk: int, nc: int, at: I8, work: Work
-) -> bool:
+    options: FilterOptions, rows: Rows, out: RowModel, m: int, x: F8, P: F8, nk: int, nc: int, tail: int, at: I8,
+    work: Work,
+) -> bool:  # fmt: skip
     """Absorb a step common to all clocks: a reset of the receiver's clock.
 
     The median of the code innovations of all systems is robust against bad satellites and blind to inter-system
@@ -100,13 +101,13 @@ def align_clocks(
         spread2 = max(spread2, s_clk)  # too few to be sure: as loose as before
     else:
         spread2 = 25.0 * spread2 / agree
-    forget_common_clock(x, P, nk, nc, middle, spread2)
+    forget_common_clock(x, P, nk, nc, tail, middle, spread2)
     return True
 
 
 @njit
 def activate_clocks(
-    options: FilterOptions, rows: Rows, out: RowModel, m: int, t_ns: int, nk: int, nc: int, belief: Belief,
+    options: FilterOptions, rows: Rows, out: RowModel, m: int, t_ns: int, nk: int, nc: int, tail: int, belief: Belief,
     x2: F8, P2: F8, work: Work,
 ) -> int:  # fmt: skip
     """Take clocks of systems that appear into the state and those absent for long out of it; the new number.
@@ -157,15 +158,16 @@ def activate_clocks(
                 if p < best:
                     ref, best = k, p
     old_at = at.copy()
-    move_state(belief.x, belief.P, nk, at, new_at, x2, P2)
+    move_state(belief.x, belief.P, nk, tail, at, new_at, x2, P2)
     for k in range(n_all):
         if not fresh[k]:
             continue
         wide = 1e3 if old_at[k] >= 0 else 1.0  # a system that stepped: anything up to a millisecond
         sigma = wide * options.intersystem_sigma0
         enter_clock(
-            belief.x, belief.P, nk, count, new_at[k], new_at[ref], sigma * sigma, options.intersystem_drift_sigma0**2
-        )
+            belief.x, belief.P, nk, count, tail, new_at[k], new_at[ref], sigma * sigma,
+            options.intersystem_drift_sigma0**2,
+        )  # fmt: skip
         belief.missed[k] = 0
         belief.seen_ns[k] = t_ns
         # Several satellites of it: start at the median of what they say.

@@ -142,8 +142,8 @@ def _update_satellites(
 def update_epoch(
     options: FilterOptions, rows: Rows, out: RowModel, m: int, x: F8, P: F8, nk: int, nc: int, at: I8,
     x2: F8, P2: F8, work: Work,
-) -> tuple[float, int, int, bool, int]:  # fmt: skip
-    """Measurement update of one epoch with the rows in ``work.order``; x and P in place, row outputs written.
+) -> tuple[float, int]:  # fmt: skip
+    """Measurement update of one epoch with the rows in ``work.order``; x and P in place, row outputs in ``work``.
 
     If it moves the position by more than 20 m, it is done once more from the prediction with the rows linearised at
     its result (iterated EKF, Groves 3.4.1): what the curvature of the ranges leaves, 20^2 / (2 rho), is 0.01 mm.
@@ -154,15 +154,6 @@ def update_epoch(
         Sum over the used rows.
     dof : int
         Their number.
-    n_used : int
-        Satellites whose code was used.
-    agreed : bool
-        More than half of the codes were used, and half of the rates where there are four or more (a receiver that
-        moves under a static model shows in its rates first). Where five or more codes were used, a system of which
-        none was does not count: its clock stepped, and `activate_clocks` will see to it. Where there were five or
-        more codes and fewer than four were used, nothing says that these are the right ones.
-    n_clocks : int
-        Receiver clocks of the codes used.
     """
     n = nk + 2 * nc
     for i in range(n):
@@ -180,6 +171,25 @@ def update_epoch(
             for j in range(n):
                 P[i, j] = P2[i, j]
         nis, dof = _update_linear(options, rows, out, m, x, P, nk, nc, at, x2, work)
+    return nis, dof
+
+
+@njit
+def tally(rows: Rows, out: RowModel, m: int, at: I8, work: Work) -> tuple[int, bool, int]:
+    """Row outputs of an update from ``work``, and its judgement.
+
+    Returns
+    -------
+    n_used : int
+        Satellites whose code was used.
+    agreed : bool
+        More than half of the codes were used, and half of the rates where there are four or more (a receiver that
+        moves under a static model shows in its rates first). Where five or more codes were used, a system of which
+        none was does not count: its clock stepped, and `activate_clocks` will see to it. Where there were five or
+        more codes and fewer than four were used, nothing says that these are the right ones.
+    n_clocks : int
+        Receiver clocks of the codes used.
+    """
     n_used, n_rates, n_rates_used = 0, 0, 0
     for k in range(m):
         i = work.order[k]
@@ -206,4 +216,4 @@ def update_epoch(
         elif n_used >= 5:
             n_all -= count
     agreed = 2 * n_used > n_all and (m < 5 or n_used >= 4) and (n_rates < 4 or 2 * n_rates_used >= n_rates)
-    return nis, dof, n_used, agreed, n_clocks
+    return n_used, agreed, n_clocks

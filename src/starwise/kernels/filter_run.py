@@ -10,8 +10,19 @@ from numpy.typing import NDArray
 
 from starwise.constants import EPOCH_COASTED, EPOCH_NO_SOLUTION, EPOCH_OK, EPOCH_RESET, EPOCH_SUSPECT
 from starwise.kernels._jit import njit
+from starwise.kernels.colored import start_colored, update_colored
+from starwise.kernels.error_states import (
+    N_SKY,
+    ErrorModel,
+    ErrorRows,
+    Slots,
+    enter_satellites,
+    n_errors,
+    predict_errors,
+    reset_errors,
+)
 from starwise.kernels.filter_clocks import activate_clocks, align_clocks, count_missed
-from starwise.kernels.filter_epoch import arrange, update_epoch
+from starwise.kernels.filter_epoch import arrange, tally, update_epoch
 from starwise.kernels.filter_state import Belief, FilterOptions, Work, start_filter
 from starwise.kernels.process import Process, motion, noise_shape, predict
 from starwise.kernels.rangemodel import Epochs, ModelOptions, RowModel, Rows, epoch_corrections
@@ -36,8 +47,8 @@ MAX_STRIKES = 2  # starts soon after each other with rates that contradict codes
 
 
 @njit
-def _write(e: int, nk: int, nc: int, belief: Belief, ep: EpochOut) -> None:
-    """State of epoch e into the outputs."""
+def _write(e: int, nk: int, nc: int, floor: float, belief: Belief, ep: EpochOut) -> None:
+    """State of epoch e into the outputs; ``floor`` m per axis is the error of a position that no state describes."""
     x, P = belief.x, belief.P
     for i in range(3):
         ep.pos[e, i] = x[i]
@@ -45,6 +56,7 @@ def _write(e: int, nk: int, nc: int, belief: Belief, ep: EpochOut) -> None:
         for j in range(3):
             ep.cov_pos[e, i, j] = P[i, j]
             ep.cov_vel[e, i, j] = P[3 + i, 3 + j] if nk > 3 else 0.0
+        ep.cov_pos[e, i, i] += floor * floor
     for k in range(len(belief.at)):
         c = belief.at[k]
         if c >= 0:
@@ -55,9 +67,9 @@ def _write(e: int, nk: int, nc: int, belief: Belief, ep: EpochOut) -> None:
 
 @njit
 def restart(
-    model: ModelOptions, spp: SppOptions, options: FilterOptions, t_ns: int, rows: Rows, start: int, end: int,
-    nk: int, nc: int, running: bool, failing: bool, desperate: bool, since_s: float, belief: Belief, e: int,
-    ep: EpochOut, out: RowModel,
+    model: ModelOptions, spp: SppOptions, options: FilterOptions, errors: ErrorModel, t_ns: int, rows: Rows,
+    extra: ErrorRows, start: int, end: int, nk: int, nc: int, running: bool, failing: bool, desperate: bool,
+    since_s: float, belief: Belief, slots: Slots, x2: F8, work: Work, e: int, ep: EpochOut, out: RowModel,
 ) -> tuple[int, int]:  # fmt: skip
     """Start, or start again, from the least-squares solution of this epoch, if it has one that can be trusted.
 
@@ -107,8 +119,13 @@ def restart(
             vel[i] = np.nan
         for i in range(start, end):
             out.rate_used[i] = 0
-    nc = start_filter(options, nk, t_ns, xs, Ps, vel, Pv, doubt, belief)
-    _write(e, nk, nc, belief, ep)
+    if errors.on:
+        nc = start_colored(
+            options, errors, rows, extra, out, start, end, nk, t_ns, xs, vel, tie_var, doubt, belief, slots, x2, work
+        )
+    else:
+        nc = start_filter(options, nk, t_ns, xs, Ps, vel, Pv, doubt, belief)
+    _write(e, nk, nc, errors.floor, belief, ep)
     dops(out, start, end, ep.dop[e])
     ep.status[e] = EPOCH_RESET if failing and status == EPOCH_OK else status
     ep.n_used[e], ep.dof[e], ep.nis[e] = int(numbers[0]), int(numbers[1]), numbers[2]
@@ -118,7 +135,7 @@ def restart(
 @njit
 def filter_run(
     model: ModelOptions, spp: SppOptions, process: Process, options: FilterOptions, epochs: Epochs, rows: Rows,
-    x0: F8, P0: F8, ep: EpochOut, out: RowModel,
+    x0: F8, P0: F8, errors: ErrorModel, extra: ErrorRows, max_slots: int, ep: EpochOut, out: RowModel,
 ) -> None:  # fmt: skip
     """Filter all epochs of a run; arguments as `starwise.kernels.spp.spp_run`, and a start.
 
@@ -133,6 +150,11 @@ def filter_run(
     rows : Rows
     x0, P0 : (nk + 2 n_clocks,), (n, n)
         Belief at the first epoch, all clocks in the state; x0[0] NaN: start from least squares.
+    errors : ErrorModel
+    extra : ErrorRows
+        Empty where errors are white.
+    max_slots : int
+        Satellites that can have error states at once.
     ep : EpochOut
         Out: per epoch.
     out : RowModel
@@ -143,6 +165,13 @@ def filter_run(
     for e in range(len(epochs.t_ns)):
         m_max = max(m_max, epochs.offsets[e + 1] - epochs.offsets[e])
     ints, pairs, size = np.zeros((3, m_max), np.int64), np.zeros((4, m_max, 2)), nk + 2 * n_all
+    if errors.on:
+        size += N_SKY + errors.n_bias + errors.block * max_slots
+    slots = Slots(
+        np.full(7 * 256, -1, np.int64), np.zeros(max_slots, np.int64), np.zeros(max_slots, np.int64),
+        np.zeros(1, np.int64),
+    )  # fmt: skip
+    phi = np.ones(size)
     los, vectors = np.zeros((2, m_max, 3)), np.zeros((4, size))
     work = Work(
         ints[0], ints[1], ints[2], los[0], los[1], pairs[0], pairs[1], pairs[2], pairs[3],
@@ -165,13 +194,15 @@ def filter_run(
     checked = True  # the position has been confirmed by more satellites than it takes to make one
     if x0[0] == x0[0]:
         running, nc, t_last = True, n_all, epochs.t_ns[0]
-        for i in range(size):
+        for i in range(nk + 2 * n_all):
             x[i] = x0[i]
-            for j in range(size):
+            for j in range(nk + 2 * n_all):
                 P[i, j] = P0[i, j]
         for k in range(n_all):
             at[k] = k
             belief.seen_ns[k] = t_last
+        if errors.on:
+            reset_errors(errors, slots, x, P, nk + 2 * nc)
     for e in range(len(epochs.t_ns)):
         t_ns, start, end = epochs.t_ns[e], epochs.offsets[e], epochs.offsets[e + 1]
         lost = not running
@@ -183,7 +214,11 @@ def filter_run(
                 dt_known = dt
             noise_shape(process, x[0], x[1], x[2], M)
             predict(x, P, nk, nc, dt, process, F, G, M)
+            if errors.on:
+                predict_errors(errors, slots, x, P, nk, nc, dt, F, phi)
             lost = not P[0, 0] + P[1, 1] + P[2, 2] < options.lost_sigma_m**2
+        if options.memoryless:
+            running, lost, failed = False, True, 0
         t_last = t_ns
         failing = running and (failed >= options.patience or weak >= 2 * options.patience)
         if lost or failing:
@@ -191,8 +226,8 @@ def filter_run(
             soon = e - e_start <= SOON_EPOCHS or t_ns - t_start <= SOON_NS
             since_s = (t_ns - t_start) * 1e-9 if failing and soon else np.nan
             started, rates = restart(
-                model, spp, options, t_ns, rows, start, end, nk, nc, running, failing, desperate, since_s, belief, e,
-                ep, out,
+                model, spp, options, errors, t_ns, rows, extra, start, end, nk, nc, running, failing, desperate,
+                since_s, belief, slots, x2, work, e, ep, out,
             )  # fmt: skip
             if started > 0:
                 checked = ep.status[e] != EPOCH_SUSPECT
@@ -213,7 +248,7 @@ def filter_run(
                 continue
             if failed >= options.patience:
                 # Lost, and this epoch cannot be solved by itself: go on with more doubt.
-                n = nk + 2 * nc
+                n = nk + 2 * nc + n_errors(errors, slots)
                 for i in range(n):
                     for j in range(n):
                         P[i, j] *= 4.0
@@ -229,11 +264,17 @@ def filter_run(
             for k in range(m):
                 out.rate_var[work.order[k]] = np.inf
         if m > 0:
-            align_clocks(options, rows, out, m, x, P, nk, nc, at, work)
-            nc = activate_clocks(options, rows, out, m, t_ns, nk, nc, belief, x2, P2, work)
-        nis, dof, n_used, agreed, n_clocks = update_epoch(options, rows, out, m, x, P, nk, nc, at, x2, P2, work)
+            tail = n_errors(errors, slots)
+            align_clocks(options, rows, out, m, x, P, nk, nc, tail, at, work)
+            nc = activate_clocks(options, rows, out, m, t_ns, nk, nc, tail, belief, x2, P2, work)
+        if errors.on:
+            enter_satellites(errors, extra, work.order, m, t_ns, slots, x, P, nk + 2 * nc)
+            nis, dof = update_colored(options, errors, rows, extra, out, m, x, P, nk, nc, at, slots, x2, work)
+        else:
+            nis, dof = update_epoch(options, rows, out, m, x, P, nk, nc, at, x2, P2, work)
+        n_used, agreed, n_clocks = tally(rows, out, m, at, work)
         count_missed(rows, m, t_ns, belief, work)
-        _write(e, nk, nc, belief, ep)
+        _write(e, nk, nc, errors.floor, belief, ep)
         dops(out, start, end, ep.dop[e])
         ep.n_used[e], ep.dof[e], ep.nis[e] = n_used, dof, nis
         if m == 0:

@@ -28,6 +28,7 @@ class FilterOptions(NamedTuple):
     clock_loose_m: float  # clock sigma above which the clocks are aligned to the measurements before the gate
     lost_sigma_m: float  # position sigma above which the filter prefers a fresh start
     absent_s: float  # a system not seen for so long leaves the state
+    memoryless: bool  # every epoch starts anew: least squares with the full covariance of the errors
 
 
 class Belief(NamedTuple):
@@ -60,17 +61,20 @@ class Work(NamedTuple):
 
 
 @njit
-def move_state(x: F8, P: F8, nk: int, at: I8, new_at: I8, x2: F8, P2: F8) -> None:
+def move_state(x: F8, P: F8, nk: int, tail: int, at: I8, new_at: I8, x2: F8, P2: F8) -> None:
     """State re-ordered to another set of active clocks; those that leave are marginalised out, exactly.
 
-    ``at`` is overwritten by ``new_at``; elements of clocks that are new hold zeros, for `enter_clock` to fill.
+    ``at`` is overwritten by ``new_at``; elements of clocks that are new hold zeros, for `enter_clock` to fill. The
+    ``tail`` elements behind the clocks move along as they are.
     """
     nc, nc2 = 0, 0
     for k in range(len(at)):
         nc = max(nc, at[k] + 1)
         nc2 = max(nc2, new_at[k] + 1)
-    n2 = nk + 2 * nc2
+    n2 = nk + 2 * nc2 + tail
     source = np.full(n2, -1, np.int64)
+    for i in range(tail):
+        source[nk + 2 * nc2 + i] = nk + 2 * nc + i
     for i in range(nk):
         source[i] = i
     for k in range(len(at)):
@@ -102,20 +106,20 @@ def _copy_element(x: F8, P: F8, n: int, to: int, source: int, var: float) -> Non
 
 
 @njit
-def enter_clock(x: F8, P: F8, nk: int, nc: int, k: int, ref: int, var: float, drift_var: float) -> None:
+def enter_clock(x: F8, P: F8, nk: int, nc: int, tail: int, k: int, ref: int, var: float, drift_var: float) -> None:
     """Active clock k starts as the active clock ``ref`` plus an independent offset: the oscillator is the same."""
-    n = nk + 2 * nc
+    n = nk + 2 * nc + tail
     _copy_element(x, P, n, nk + k, nk + ref, var)
     _copy_element(x, P, n, nk + nc + k, nk + nc + ref, drift_var)
 
 
 @njit
-def forget_common_clock(x: F8, P: F8, nk: int, nc: int, shift: float, var: float) -> None:
+def forget_common_clock(x: F8, P: F8, nk: int, nc: int, tail: int, shift: float, var: float) -> None:
     """Shift all clocks by ``shift`` and forget what was known of their common part; differences stay as known.
 
     With c_k = c_0 + d_k: c_0 is marginalised out and put back with variance ``var``, independent of all else.
     """
-    n = nk + 2 * nc
+    n = nk + 2 * nc + tail
     for k in range(1, nc):
         for j in range(n):
             P[nk + k, j] -= P[nk, j]

@@ -22,6 +22,10 @@ I8 = NDArray[np.int64]
 I2 = NDArray[np.int16]
 U1 = NDArray[np.uint8]
 
+SINGLE = 0  # one signal per satellite
+COMBINED = 1  # ionosphere-free combination of two
+UNCOMBINED = 2  # one signal, and a second one beside it where there is one
+
 CODE_MIN_M = 1.0e7  # a satellite cannot be nearer than about 1.9e7 m; receiver clocks run free by some 30 ms
 CODE_MAX_M = 6.5e7  # an inclined geosynchronous satellite at the horizon is at 4.2e7 m
 
@@ -38,11 +42,11 @@ def count_sightings(offsets: I8, sv: I2) -> int:
 
 
 @njit
-def _best(start: int, end: int, sv: I2, sig: I2, rank: I8, row_status: U1) -> int:
-    """Row with a usable code and the smallest rank, -1 if none."""
+def _best(start: int, end: int, sv: I2, sig: I2, rank: I8, not_band: int, row_status: U1) -> int:
+    """Row with a usable code and the smallest rank, not on the carrier ``not_band``; -1 if none."""
     best, best_rank = -1, 1 << 30
     for i in range(start, end):
-        if row_status[i] != ROW_NOT_SELECTED:
+        if row_status[i] != ROW_NOT_SELECTED or sig[i] >> 8 == not_band:
             continue
         r = rank[sv[i] >> 8, sig[i] >> 8, sig[i] & 127]
         if 0 <= r < best_rank:
@@ -66,7 +70,7 @@ def _rate(i: int, start: int, end: int, sv: I2, sig: I2, doppler: F8, frequency:
 @njit
 def select_signals(
     offsets: I8, sv: I2, sig: I2, code: F8, doppler: F8, cn0: F8,
-    system_on: U1, excluded: U1, rank: I8, rank2: I8, pairs: bool, frequency: F8,
+    system_on: U1, excluded: U1, rank: I8, rank2: I8, mode: int, frequency: F8,
     row_status: U1, s_offsets: I8, s_sv: I2, s_sig: I2, s_sig2: I2, s_row: I8, s_row2: I8,
     s_code: F8, s_rate: F8, s_cn0: F8, s_freq: F8, s_factor: F8, s_status: U1,
 ) -> None:  # fmt: skip
@@ -81,8 +85,8 @@ def select_signals(
         Satellites that the user has taken out.
     rank, rank2 : (7, 10, 128) int64
         Preference of first and second signal by system, band and attribute; smaller is better, negative is never.
-    pairs : bool
-        Ionosphere-free combinations instead of single signals.
+    mode : int
+        ``SINGLE``, ``COMBINED`` or ``UNCOMBINED``.
     frequency : (7, 256, 10) float64
         Carrier by system, satellite number and band, Hz.
     """
@@ -122,14 +126,14 @@ def select_signals(
                     row_status[start] if row_status[start] in (ROW_SYSTEM_OFF, ROW_EXCLUDED_BY_USER) else fault
                 )
                 continue
-            first = _best(start, i, sv, sig, rank, row_status)
+            first = _best(start, i, sv, sig, rank, -1, row_status)
             if first < 0:
-                s_status[k] = ROW_NO_PAIR if pairs else ROW_NOT_SELECTED
+                s_status[k] = ROW_NO_PAIR if mode == COMBINED else ROW_NOT_SELECTED
                 continue
             second = -1
-            if pairs:
-                second = _best(start, i, sv, sig, rank2, row_status)
-                if second < 0 or sig[second] >> 8 == sig[first] >> 8:
+            if mode != SINGLE:
+                second = _best(start, i, sv, sig, rank2, sig[first] >> 8 if mode == UNCOMBINED else -1, row_status)
+                if mode == COMBINED and (second < 0 or sig[second] >> 8 == sig[first] >> 8):
                     s_status[k] = ROW_NO_PAIR
                     row_status[first] = ROW_NO_PAIR
                     s_row[k], s_sig[k] = first, sig[first]
@@ -139,8 +143,11 @@ def select_signals(
             s_rate[k] = _rate(first, start, i, sv, sig, doppler, frequency)
             s_status[k] = ROW_USED
             row_status[first] = ROW_USED
-            if second < 0:
+            if second < 0 or mode == UNCOMBINED:
                 s_code[k], s_freq[k] = code[first], f1
+                if second >= 0:
+                    s_sig2[k], s_row2[k] = sig[second], second
+                    row_status[second] = ROW_USED
                 continue
             f2 = frequency[system, number, sig[second] >> 8]
             a = f1 * f1 / (f1 * f1 - f2 * f2)  # Groves 9.78: first-order ionosphere cancels

@@ -110,6 +110,8 @@ CLOCKS: Final = Clocks(
     intersystem_drift_sigma0=0.01,  # m/s: the same oscillator; 3e-11 is the worst ever seen between system times
 )
 
+RESTING_PSD: Final = 0.01**2 / 3600.0
+"""Static, where errors that last have states of their own: the ground moves by tides, 1 cm in an hour; m^2/s."""
 PRESETS: Final[dict[str, Motion]] = {
     # The antenna does not move; what moves its position is error that the measurement model takes for white and that
     # is not: the remainders of ionosphere, orbits and clocks, some 3 m in an hour. With less the filter would average
@@ -133,6 +135,8 @@ def motion_from(config: RunConfig) -> Motion:
         `process` has a number that the model has no use for.
     """
     m = PRESETS[config.dynamics]
+    if m.model == "static" and config.error_model == "colored":
+        m = replace(m, horizontal=RESTING_PSD, vertical=RESTING_PSD)
     p = config.process
     model = p.model or m.model
     of_model = {

@@ -30,6 +30,7 @@ from starwise.constants import (
     SYSTEMS,
 )
 from starwise.errors import StarwiseError
+from starwise.kernels.error_states import ErrorModel, ErrorRows
 from starwise.kernels.rangemodel import (
     IONO_BDS,
     IONO_GPS,
@@ -42,8 +43,9 @@ from starwise.kernels.rangemodel import (
     RowModel,
     Rows,
 )
+from starwise.models.error_model import error_model, error_rows, no_errors, second_signals, slow_sigma
 from starwise.models.select import select
-from starwise.signals import signal_name
+from starwise.signals import frequency_table, signal_name
 from starwise.types import F8, I2, I8, U1, Ephemeris, IonosphereModel, Observations, SatStates, Sightings
 
 _ROW_OF_SAT = np.zeros(16, dtype=np.uint8)
@@ -91,6 +93,8 @@ class Prepared:
     options: ModelOptions
     clock_names: tuple[str, ...]
     """System letter of each receiver clock; QZSS shares that of GPS where both are used."""
+    errors: ErrorModel
+    error_rows: ErrorRows
     notes: tuple[str, ...]
     """What was decided where the inputs are silent: for the summary."""
 
@@ -110,6 +114,7 @@ def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel
         obs,
         config.systems,
         ionosphere_free=if_free,
+        second_signal=second_signals(config),
         signals=config.signals,
         exclude=config.exclude,
         channels=ephemeris.channels,
@@ -127,7 +132,8 @@ def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel
     bad = _ROW_OF_SAT[states.status[use]]
     status[use] = np.where(bad != 0, bad, ROW_USED)
     delay = np.full(len(s.sv), np.nan)
-    delay[use] = ephemeris.group_delay(states.record[use], s.sv[use], s.sig[use], s.sig2[use])
+    pair = s.sig2 if if_free else np.zeros_like(s.sig2)
+    delay[use] = ephemeris.group_delay(states.record[use], s.sv[use], s.sig[use], pair[use])
     sigma = _ephemeris_sigma(states.sigma_m, s.sv >> 8)
     unknown_delay = ~np.isfinite(delay)
     sigma = np.where(unknown_delay, np.hypot(sigma, UNKNOWN_GROUP_DELAY_SIGMA_M), sigma)
@@ -165,7 +171,39 @@ def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel
         clock=clock,
         status=status,
     )
-    return Prepared(s, states, delay, row_status, rows, Epochs(s.t_ns, s.offsets), options, clock_names, tuple(notes))
+    errors, extra = no_errors()
+    if config.error_model == "colored":
+        errors, extra = _colored(obs, s, states, ephemeris, rows, delay, config)
+    return Prepared(
+        s, states, delay, row_status, rows, Epochs(s.t_ns, s.offsets), options, clock_names, errors, extra,
+        tuple(notes),
+    )  # fmt: skip
+
+
+def _colored(
+    obs: Observations, s: Sightings, states: SatStates, ephemeris: Ephemeris, rows: Rows, delay: F8, config: RunConfig
+) -> tuple[ErrorModel, ErrorRows]:
+    """The coloured error model of a run and what it needs of each row."""
+    dual = second_signals(config)
+    delay2 = np.full(len(s.sv), np.nan)
+    if dual:
+        second = np.flatnonzero((s.status == ROW_USED) & (s.row2 >= 0))
+        none = np.zeros(len(second), dtype=np.int16)
+        delay2[second] = ephemeris.group_delay(states.record[second], s.sv[second], s.sig2[second], none)
+    extra, n_bias = error_rows(
+        obs,
+        s,
+        slow_sigma(config.errors, s.sv, rows.sigma_sat_m, EPHEMERIS_SIGMA_M[s.sv >> 8]),
+        rows.clock_m,
+        delay,
+        delay2,
+        frequency_table({**ephemeris.channels, **obs.channels}),
+        obs.cn0_dbhz if np.isfinite(rows.cn0_dbhz).any() else None,
+    )
+    dual = dual and bool(np.isfinite(extra.code2_m).any())
+    steps = np.diff(s.t_ns)
+    interval_s = float(np.median(steps)) * 1e-9 if len(steps) else 1.0
+    return error_model(config.errors, dual, n_bias, interval_s), extra
 
 
 def _waiting(ephemeris: Ephemeris, t_rx_ns: I8, sv: I2, code_m: F8, status: NDArray[np.int8]) -> list[str]:
@@ -245,7 +283,7 @@ def model_options(config: RunConfig, ionosphere: IonosphereModel) -> tuple[Model
     notes: list[str] = []
     model = np.full(N_SYSTEMS, IONO_NONE, dtype=np.int64)
     coef = np.zeros((N_SYSTEMS, 8))
-    if config.ionosphere == "broadcast" and config.combination == "single":
+    if config.ionosphere == "broadcast" and config.combination != "ionosphere_free":
         common = next((ionosphere.klobuchar[k] for k in ("G", "J", "E", "I") if k in ionosphere.klobuchar), None)
         beidou = ionosphere.klobuchar.get("C")
         if common is not None:

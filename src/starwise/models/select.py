@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from starwise.constants import N_SYSTEMS, SYSTEMS
 from starwise.errors import StarwiseError
-from starwise.kernels.select import count_sightings, select_signals
-from starwise.signals import DEFAULT_PAIRS, DEFAULT_PREFERENCE, frequency_table, signal_id, sv_id
+from starwise.kernels.select import COMBINED, SINGLE, UNCOMBINED, count_sightings, select_signals
+from starwise.signals import DEFAULT_PAIRS, DEFAULT_PREFERENCE, DEFAULT_SECOND, frequency_table, signal_id, sv_id
 from starwise.types import U1, Observations, Sightings
 
 
@@ -28,6 +28,7 @@ def select(
     systems: str = "GRECJ",
     *,
     ionosphere_free: bool = False,
+    second_signal: bool = False,
     signals: Mapping[str, Sequence[str]] | None = None,
     exclude: Sequence[str] = (),
     channels: Mapping[int, int] | None = None,
@@ -41,9 +42,11 @@ def select(
         System letters to use.
     ionosphere_free : bool
         Two frequencies combined instead of one signal.
+    second_signal : bool
+        A second signal on another frequency beside the first, where there is one.
     signals : mapping, optional
-        Preference by system letter, best first, in place of `DEFAULT_PREFERENCE` (single frequency); with
-        ``ionosphere_free``, the first signal is taken from it and the second from the bands of the others.
+        Preference by system letter, best first, in place of `DEFAULT_PREFERENCE` (single frequency); with two
+        frequencies, the first signal is taken from it and the second from the bands of the others.
     exclude : sequence of str
         Satellites not to use.
     channels : mapping, optional
@@ -72,6 +75,10 @@ def select(
             second[letter] = tuple(n for n in names if n[0] != lead)
     else:
         first, second = {**DEFAULT_PREFERENCE, **{k: tuple(v) for k, v in (signals or {}).items()}}, {}
+        if second_signal:
+            second = dict(DEFAULT_SECOND)
+            for letter, names in (signals or {}).items():
+                second[letter] = tuple(n for n in names if n[0] != names[0][0])
     on = np.array([s in systems for s in SYSTEMS], dtype=np.uint8)
     excluded = np.zeros((N_SYSTEMS, 256), dtype=np.uint8)
     for name in exclude:
@@ -96,7 +103,8 @@ def select(
     )
     select_signals(
         obs.offsets, obs.sv, obs.sig, obs.code_m, obs.doppler_hz, obs.cn0_dbhz,
-        on, excluded, _ranks(first), _ranks(second), ionosphere_free,
+        on, excluded, _ranks(first), _ranks(second),
+        COMBINED if ionosphere_free else UNCOMBINED if second_signal else SINGLE,
         frequency_table({**(channels or {}), **obs.channels}),
         row_status, s.offsets, s.sv, s.sig, s.sig2, s.row, s.row2, s.code_m, s.rate_mps, s.cn0_dbhz, s.freq_hz,
         s.noise_factor, s.status,

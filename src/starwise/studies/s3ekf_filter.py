@@ -22,6 +22,7 @@ from starwise.estimators.filter import filter_options
 from starwise.estimators.least_squares import empty_epochs, spp_options
 from starwise.kernels.filter_run import filter_run
 from starwise.kernels.spp import EpochOut
+from starwise.models.error_model import MAX_SLOTS, no_errors
 from starwise.models.process import Motion, clocks_from, process_numbers
 from starwise.models.pseudorange import empty_row_model
 from starwise.studies.scene import Sky, solve_rows
@@ -97,6 +98,8 @@ def solve_paper(
         sky.rows,
         np.array(x0, dtype=np.float64),
         np.array(P0, dtype=np.float64),
+        *no_errors(),
+        MAX_SLOTS,
         ep,
         out,
     )
