@@ -10,7 +10,7 @@ import scipy.stats
 
 import starwise
 from handmade import HERE, T0, handmade_solution
-from starwise.analysis.accuracy import CHI2_3_95, assess, match
+from starwise.analysis.accuracy import CHI2, NOMINAL, assess, match
 from starwise.constants import EPOCH_NO_SOLUTION, EPOCH_SUSPECT, NS
 from starwise.errors import StarwiseError
 from starwise.frames import C_ne_enu, ecef_from_geodetic, geodetic_from_ecef
@@ -33,8 +33,10 @@ def shifted(error_enu: np.ndarray, sigma: float = 1.0) -> Solution:
     )
 
 
-def test_constant() -> None:
-    assert pytest.approx(scipy.stats.chi2.ppf(0.95, 3), abs=1e-12) == CHI2_3_95
+@pytest.mark.golden
+def test_chi_square_points() -> None:
+    for dof, points in CHI2.items():
+        assert points == pytest.approx(scipy.stats.chi2.ppf(np.array(NOMINAL) / 100.0, dof), abs=1e-12)
 
 
 def test_known_errors_give_known_numbers() -> None:
@@ -54,6 +56,10 @@ def test_true_covariance_is_found_true() -> None:
     report = assess(handmade_solution(n, seed=7), Truth(HERE))
     # 95 % of n epochs, binomial: 5 sigma = 1.7 %. Mean of chi-square(3): 5 sqrt(6 / n) = 0.19. One in a million each.
     assert abs(report["coverage_95"] - 0.95) < 0.0172
+    # 5 sigma of the binomial where it is widest, at 50 %: 4 %
+    for curve in ("3d", "horizontal", "vertical"):
+        assert report["calibration"][curve] == pytest.approx([0.50, 0.68, 0.95], abs=0.04), curve
+    assert report["calibration"]["3d"] == [report["coverage_50"], report["coverage_68"], report["coverage_95"]]
     assert abs(report["nees_mean"] - 3.0) < 0.194
 
 

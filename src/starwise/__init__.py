@@ -3,7 +3,7 @@
 The main entry points, imported when first used so that ``import starwise`` costs nothing:
 
 * `solve`: observation, navigation and orbit files in, a `Solution` out;
-* `assess`: errors of a solution against the truth;
+* `assess`: errors of a solution against the truth; `pool`: the covariances of many runs against theirs;
 * `read_obs`, `read_nav`, `read_sp3`, `read_clk`, `read_pos`, `read_solution`, `read_truth`: files as nouns;
 * `write_results`: a solution as files;
 * `RunConfig`, `Solution`, `Observations`, `StarwiseError`: the nouns.
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from starwise._version import __version__
 
 if TYPE_CHECKING:
-    from starwise.api import assess, info, solve
+    from starwise.api import assess, info, pool, solve
     from starwise.config import RunConfig, load_config
     from starwise.errors import StarwiseError
     from starwise.io.clk import read_clk
@@ -31,6 +31,7 @@ _HOME = {
     "solve": "api",
     "assess": "api",
     "info": "api",
+    "pool": "api",
     "RunConfig": "config",
     "load_config": "config",
     "StarwiseError": "errors",
@@ -59,6 +60,7 @@ __all__ = [
     "assess",
     "info",
     "load_config",
+    "pool",
     "read_clk",
     "read_nav",
     "read_obs",

@@ -79,7 +79,7 @@ def solve(
 
 
 def _solve(inputs: Inputs, config: RunConfig, say: Progress, records: "Future[list[dict[str, Any]]]") -> Solution:
-    from starwise.estimators.run import solve_run
+    from starwise.estimators.sessions import solve_sessions
     from starwise.io.rinex_obs import read_obs
     from starwise.report.summary import summarise
 
@@ -87,7 +87,7 @@ def _solve(inputs: Inputs, config: RunConfig, say: Progress, records: "Future[li
     obs = read_obs(*inputs.obs)
     ephemeris, ionosphere, problems = _ephemeris(inputs)
     say("solving", 0.4)
-    solution = solve_run(obs, ephemeris, ionosphere, config, lambda what, part: say(what, 0.4 + 0.5 * part))
+    solution = solve_sessions(obs, ephemeris, ionosphere, config, lambda what, part: say(what, 0.4 + 0.5 * part))
     provenance: dict[str, Any] = {
         "starwise": __version__,
         "config": config.to_dict(),
@@ -230,6 +230,20 @@ def assess(
     StarwiseError
         A file that cannot be read, or nothing to compare.
     """
+    solution, truth, vertical = _judged(solution, truth, antenna_up_m, geoid_m)
+    report = assess_solution(
+        solution, truth, tolerance_s=tolerance_s, interpolate=interpolate, vertical=vertical or truth is None
+    )
+    notes = []
+    if not vertical and truth is not None:
+        notes.append("heights are above the geoid: nothing vertical is compared (give --geoid)")
+    return {**report, "notes": notes}
+
+
+def _judged(
+    solution: Solution | PathLike, truth: Truth | str | Path | None, antenna_up_m: float, geoid_m: float | None
+) -> tuple[Solution, Truth | None, bool]:
+    """Solution and truth of the same point, read where need be, and whether their heights are comparable."""
     if not isinstance(solution, Solution):
         solution = read_solution(solution, ledger=False)
     if truth is not None and not isinstance(truth, Truth):
@@ -242,15 +256,54 @@ def assess(
             raise StarwiseError("heights are ellipsoidal already; a geoid height is not to be added")
         as_truth = Truth(solution.pos_e)
         solution, vertical = replace(solution, pos_e=raised(as_truth, geoid_m).pos_e), True
-    if truth is not None:
-        truth = raised(truth, antenna_up_m)
-    report = assess_solution(
-        solution, truth, tolerance_s=tolerance_s, interpolate=interpolate, vertical=vertical or truth is None
-    )
-    notes = []
-    if not vertical and truth is not None:
-        notes.append("heights are above the geoid: nothing vertical is compared (give --geoid)")
-    return {**report, "notes": notes}
+    return solution, None if truth is None else raised(truth, antenna_up_m), vertical
+
+
+def pool(
+    *runs: Solution | PathLike | tuple[Solution | PathLike, Truth | str | Path],
+    truth: Truth | str | Path | None = None,
+    session_s: float | None = None,
+    antenna_up_m: float = 0.0,
+    geoid_m: float | None = None,
+    tolerance_s: float = 0.05,
+    interpolate: bool = False,
+) -> dict[str, Any]:
+    """Whether the covariances of several runs hold the truth as often as they claim, over their sessions.
+
+    Parameters
+    ----------
+    *runs : Solution, path-like, or pair
+        Solutions, directories of results or position files; as a pair, with a truth of their own.
+    truth : Truth, path-like or str, optional
+        That of all runs without their own; as in `assess`.
+    session_s : float, optional
+        Length of a session, s; default: as the run was made (option ``session_s``), or else the whole run as one.
+    antenna_up_m, geoid_m, tolerance_s, interpolate
+        See `assess`.
+
+    Returns
+    -------
+    dict
+        See `starwise.analysis.pool.pool`.
+
+    Raises
+    ------
+    StarwiseError
+        A file that cannot be read, a run without a truth, or nothing to compare.
+    """
+    from starwise.analysis.pool import Run
+    from starwise.analysis.pool import pool as pool_runs
+
+    made = []
+    for i, item in enumerate(runs, 1):
+        one, own = item if isinstance(item, tuple) else (item, truth)
+        name = f"run {i}" if isinstance(one, Solution) else str(one)
+        if own is None:
+            raise StarwiseError("pooling needs the truth of every run", file=name, wanted="--truth, or DIR=TRUTH")
+        solution, known, vertical = _judged(one, own, antenna_up_m, geoid_m)
+        assert known is not None
+        made.append(Run(name, solution, known, vertical))
+    return pool_runs(made, session_s=session_s, tolerance_s=tolerance_s, interpolate=interpolate)
 
 
 def info(path: PathLike) -> dict[str, Any]:

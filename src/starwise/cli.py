@@ -92,6 +92,10 @@ def solve(
     ] = None,
     end: Annotated[str | None, typer.Option(metavar="T", help="Last epoch.")] = None,
     interval: Annotated[float | None, typer.Option(metavar="S", help="Only epochs on multiples of S seconds.")] = None,
+    sessions: Annotated[
+        str | None,
+        typer.Option(metavar="LENGTH", help="Start anew after every such time, like 2h; for assess --pool."),
+    ] = None,
     combination: Annotated[
         str | None, typer.Option(metavar="single|ionosphere_free", help="One frequency or two; default single.")
     ] = None,
@@ -126,6 +130,10 @@ def solve(
     options.update(_settings(settings or []))
     from starwise import api
     from starwise.config import load_config
+    from starwise.gnsstime import parse_duration
+
+    if sessions is not None:
+        options["session_s"] = parse_duration(sessions)
 
     chosen = load_config(config, options)
     with _Progress(quiet or as_json, quiet) as progress:
@@ -161,15 +169,26 @@ def _settings(pairs: list[str]) -> dict[str, Any]:
 @app.command()
 def assess(
     solutions: Annotated[
-        list[Path],
-        typer.Argument(metavar="DIR|FILE.pos", help="Results of solve, or RTKLIB position files of any format."),
+        list[str],
+        typer.Argument(
+            metavar="DIR|FILE.pos[=TRUTH]",
+            help="Results of solve, or RTKLIB position files of any format; with a truth of their own after =.",
+        ),
     ],
     truth: Annotated[
         str | None,
         typer.Option(
             metavar="X,Y,Z|FILE",
-            help="ECEF metres, or lat,lon,height in degrees and metres, or a file: table, .pos, result.",
+            help="ECEF metres, or lat,lon,height in degrees and metres, or a file: table, .pos, result. Of all that "
+            "have none of their own.",
         ),
+    ] = None,
+    pool: Annotated[
+        bool, typer.Option("--pool", help="Sessions of all together: does the claimed covariance hold the truth?")
+    ] = False,
+    sessions: Annotated[
+        str | None,
+        typer.Option(metavar="LENGTH", help="With --pool: length of a session, like 2h; default as solve was run."),
     ] = None,
     antenna_up: Annotated[
         float, typer.Option(metavar="M", help="Height of the antenna above the point that the truth is of.")
@@ -186,23 +205,43 @@ def assess(
     """Errors against the truth, and whether the covariance tells them."""
     from starwise import api
 
-    reports = {
-        str(path): api.assess(
-            path,
-            truth,
-            antenna_up_m=antenna_up,
-            geoid_m=geoid,
-            tolerance_s=tolerance,
-            interpolate=interpolate,
-        )
-        for path in solutions
+    runs = [_run_and_truth(text, truth) for text in solutions]
+    how: dict[str, Any] = {
+        "antenna_up_m": antenna_up,
+        "geoid_m": geoid,
+        "tolerance_s": tolerance,
+        "interpolate": interpolate,
     }
+    if pool:
+        from starwise.gnsstime import parse_duration
+        from starwise.report.text import pool_text
+
+        pairs = [(path, own) if own is not None else path for path, own in runs]
+        record = api.pool(*pairs, session_s=None if sessions is None else parse_duration(sessions), **how)
+        if as_json:
+            _print_json(record)
+        else:
+            _print(pool_text(record))
+        return
+    if sessions is not None:
+        raise StarwiseError("--sessions", found="without --pool", wanted="--pool, or none")
+    reports = {path: api.assess(path, own, **how) for path, own in runs}
     if as_json:
         _print_json(next(iter(reports.values())) if len(solutions) == 1 else reports)
         return
     from starwise.report.text import assess_text
 
     _print("\n\n".join(assess_text(name, report) for name, report in reports.items()))
+
+
+def _run_and_truth(text: str, truth: str | None) -> tuple[str, str | None]:
+    """``DIR=TRUTH`` apart; a path that is there as it stands, equals signs and all, has the truth of all."""
+    path, equals, own = text.partition("=")
+    if not equals or Path(text).exists():
+        return str(Path(text)), truth
+    if not own:
+        raise StarwiseError("no truth after =", found=text, wanted="DIR=TRUTH")
+    return str(Path(path)), own
 
 
 @app.command()

@@ -97,6 +97,8 @@ class RunConfig(Checked):
     """Last epoch, written likewise."""
     interval_s: Annotated[float, Range(0.01, 86400.0)] | None = None
     """Use only epochs on multiples of this, s."""
+    session_s: Annotated[float, Range(1.0, 31_536_000.0)] | None = None
+    """Start the estimator anew after every so many seconds; None: once. For runs to be pooled in ``assess``."""
     process: ProcessNoise = field(default_factory=ProcessNoise)
     clock: ClockNoise = field(default_factory=ClockNoise)
     errors: ErrorParameters = field(default_factory=ErrorParameters)

@@ -11,6 +11,7 @@ Scales (RINEX 3.05 section 4.1; IS-GPS-200N 3.3.4; BDS-SIS-ICD-B1I-3.0 3.3; GLON
 """
 
 import datetime as dt
+import re
 from typing import Final, overload
 
 import numpy as np
@@ -177,3 +178,48 @@ def parse_time(text: str) -> int:
 def glonasst_of_day(t_ns: int) -> float:
     """Seconds into the GLONASS (Moscow) day of a GPST."""
     return ((gpst_to_utc(int(t_ns)) + GLONASST_UTC_S * NS) % (DAY_S * NS)) / NS
+
+
+def session_numbers(t_ns: IntArray, length_s: float) -> IntArray:
+    """Number of the session that each epoch belongs to, from 0: time since the first epoch over the length.
+
+    A rest at the end that is shorter than half a session belongs to the last whole one.
+
+    Parameters
+    ----------
+    t_ns : (n,) int64
+        Epochs, increasing, ns.
+    length_s : float
+        Length of a session, s.
+
+    Returns
+    -------
+    (n,) int64
+    """
+    if not len(t_ns):
+        return np.zeros(0, dtype=np.int64)
+    length = round(length_s * NS)
+    since = np.asarray(t_ns) - t_ns[0]
+    number = since // length
+    last = int(number[-1])
+    if last > 0 and 2 * (int(since[-1]) - last * length) < length:
+        number = np.where(number == last, last - 1, number)
+    return np.asarray(number, dtype=np.int64)
+
+
+_UNIT_S: Final = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "": 1.0}
+
+
+def parse_duration(text: str) -> float:
+    """Seconds of a length of time written like ``2h``, ``90min``, ``7200s``, ``1d`` or ``7200``.
+
+    Raises
+    ------
+    StarwiseError
+        Not such a text, or not above 0.
+    """
+    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*(s|min|h|d|)\s*", text)
+    seconds = float(found[1]) * _UNIT_S[found[2]] if found else 0.0
+    if not seconds > 0.0:
+        raise StarwiseError("not a length of time", found=text, wanted="like 2h, 90min, 7200s")
+    return seconds

@@ -1,5 +1,6 @@
 """Accuracy of a solution against the truth, and whether its covariance tells it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -20,8 +21,17 @@ from starwise.types import Solution, Truth
 F8 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-CHI2_3_95: Final = 7.814727903251178
-"""95 % point of chi-square with 3 degrees of freedom (scipy.stats.chi2.ppf(0.95, 3))."""
+NOMINAL: Final = (50, 68, 95)
+"""Shares, %, of epochs that regions of the claimed covariance are made to hold: points of the calibration curve."""
+CHI2: Final[Mapping[int, tuple[float, ...]]] = {
+    1: (0.454936423119572, 0.988946481478023, 3.84145882069412),
+    2: (1.386294361119891, 2.27886856637673, 5.99146454710798),
+    3: (2.365973884375338, 3.505882355768183, 7.814727903251178),
+}
+"""Points of chi-square at `NOMINAL`, by degrees of freedom (scipy.stats.chi2.ppf(nominal / 100, dof))."""
+CHI2_3_95: Final = CHI2[3][2]
+SPACES: Final = {3: "3d", 2: "horizontal", 1: "vertical"}
+"""Names of the calibration curves by degrees of freedom: ellipsoid, ellipse, interval."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +46,20 @@ class Matched:
         Estimated minus true position, east north up of the true position, m.
     nees : (m,) float64
         Normalised error squared: error' P^-1 error, 3 degrees of freedom; NaN without a covariance.
+    nees_2d, nees_up : (m,) float64
+        The same of the horizontal error, 2 degrees of freedom, and of the vertical one, 1.
     """
 
     at: NDArray[np.int64]
     error_n: F8
     nees: F8
+    nees_2d: F8
+    nees_up: F8
+
+    @property
+    def nees_by_dof(self) -> dict[int, F8]:
+        """Normalised errors squared by their degrees of freedom, as the keys of `SPACES`."""
+        return {3: self.nees, 2: self.nees_2d, 1: self.nees_up}
 
 
 def raised(truth: Truth, up_m: float) -> Truth:
@@ -75,11 +94,19 @@ def match(solution: Solution, truth: Truth, *, tolerance_s: float = 0.05, interp
     difference = solution.pos_e[solved] - true_e
     if truth.t_ns is None:
         lat, lon, _ = geodetic_from_ecef(truth.pos_e)
-        error_n = difference @ C_ne_enu(lat, lon).T
+        turn = C_ne_enu(lat, lon)
     else:
         llh = geodetic_from_ecef(true_e)
-        error_n = (rotations_ne_enu(llh[:, 0], llh[:, 1]) @ difference[:, :, None])[:, :, 0]
-    return Matched(solved, error_n, _nees(difference, solution.cov_pos[solved]))
+        turn = rotations_ne_enu(llh[:, 0], llh[:, 1])
+    error_n = (turn @ difference[:, :, None])[:, :, 0]
+    cov_n = turn @ solution.cov_pos[solved] @ np.swapaxes(turn, -1, -2)
+    return Matched(
+        solved,
+        error_n,
+        _nees(error_n, cov_n),
+        _nees(error_n[:, :2], cov_n[:, :2, :2]),
+        _nees(error_n[:, 2:], cov_n[:, 2:, 2:]),
+    )
 
 
 def _aligned(
@@ -110,7 +137,7 @@ def _nees(difference: F8, cov: F8) -> F8:
     usable = np.flatnonzero(np.isfinite(cov).all(axis=(1, 2)) & np.isfinite(difference).all(axis=1))
     spread = np.linalg.eigvalsh(cov[usable])
     nees[usable] = np.inf  # a covariance that claims certainty in some direction is wrong about it
-    usable = usable[spread[:, 0] > 1e-14 * spread[:, 2]]  # below: singular to rounding
+    usable = usable[(spread[:, 0] > 1e-14 * spread[:, -1]) & (spread[:, 0] > 0.0)]  # else: singular to rounding
     solved = np.linalg.solve(cov[usable], difference[usable][:, :, None])[:, :, 0]
     nees[usable] = np.einsum("ij,ij->i", difference[usable], solved)
     return nees
@@ -143,9 +170,10 @@ def assess(
     -------
     dict
         ``epochs``, ``epochs_solved``, ``epochs_compared``, ``mean_e_m``, ``mean_n_m``, ``mean_u_m``, ``rms_2d_m``,
-        ``rms_3d_m``, ``p95_2d_m``, ``p95_3d_m``, ``coverage_95`` (fraction of epochs whose 95 % ellipsoid with 3
-        degrees of freedom holds the truth), ``nees_mean`` (3 expected), ``sigma_3d_mean_m``, counts of each status;
-        None where nothing can be said.
+        ``rms_3d_m``, ``p95_2d_m``, ``p95_3d_m``, ``coverage_50``, ``coverage_68``, ``coverage_95`` (fractions of
+        epochs whose 50, 68, 95 % ellipsoid with 3 degrees of freedom holds the truth), ``nees_mean`` (3 expected),
+        ``sigma_3d_mean_m``, ``calibration`` (the same fractions in space, horizontally and vertically beside the
+        nominal ones), counts of each status; None where nothing can be said.
 
     Raises
     ------
@@ -170,6 +198,7 @@ def assess(
         "epochs_solved": int(solved.sum()),
         "epochs_compared": len(matched.at),
         **_statistics(solution, matched, everything, vertical),
+        "calibration": calibration(matched, vertical),
         "reference": reference,
         "truth": truth.source,
         "epochs_flagged": int(flagged.sum()),
@@ -183,10 +212,33 @@ def assess(
     return report
 
 
+def coverage(nees: F8, dof: int) -> tuple[float, ...] | None:
+    """Shares of epochs whose error lies inside the region that holds each of `NOMINAL`; None without covariances.
+
+    Parameters
+    ----------
+    nees : (m,) float64
+        Normalised errors squared; NaN (no covariance) does not count, inf (a singular one) is outside.
+    dof : int
+        Their degrees of freedom, 1 to 3.
+    """
+    stated = nees[~np.isnan(nees)]
+    return tuple(float(np.mean(stated <= point)) for point in CHI2[dof]) if len(stated) else None
+
+
+def calibration(matched: Matched, vertical: bool = True) -> dict[str, Any]:
+    """The calibration curve: ``nominal`` shares, and those seen in space, horizontally, vertically; None if unknown."""
+    curves: dict[str, Any] = {"nominal": [share / 100.0 for share in NOMINAL]}
+    for dof, nees in matched.nees_by_dof.items():
+        seen = coverage(nees, dof) if vertical or dof == 2 else None
+        curves[SPACES[dof]] = None if seen is None else list(seen)
+    return curves
+
+
 def _statistics(solution: Solution, matched: Matched, which: Mask, vertical: bool) -> dict[str, Any]:
     error, nees = matched.error_n[which], matched.nees[which]
     at = matched.at[which]
-    known, stated = np.isfinite(nees), ~np.isnan(nees)
+    known, held = np.isfinite(nees), coverage(nees, 3)
     length_2d, length_3d = np.hypot(error[:, 0], error[:, 1]), np.linalg.norm(error, axis=1)
     trace = np.trace(solution.cov_pos[at], axis1=1, axis2=2)
     sigma_3d = np.sqrt(trace[np.isfinite(trace) & (trace >= 0.0)])
@@ -203,7 +255,10 @@ def _statistics(solution: Solution, matched: Matched, which: Mask, vertical: boo
         "rms_3d_m": value(lambda: np.sqrt(np.mean(length_3d**2)), needs_height=True),
         "p95_2d_m": value(lambda: np.percentile(length_2d, 95.0)),
         "p95_3d_m": value(lambda: np.percentile(length_3d, 95.0), needs_height=True),
-        "coverage_95": value(lambda: np.mean(nees[stated] <= CHI2_3_95), needs_height=True, absent=not stated.any()),
+        **{
+            f"coverage_{share}": value(lambda i=i: (held or ())[i], needs_height=True, absent=held is None)
+            for i, share in enumerate(NOMINAL)
+        },
         "nees_mean": value(lambda: nees[known].mean(), needs_height=True, absent=not known.any()),
         "sigma_3d_mean_m": value(lambda: sigma_3d.mean(), absent=not len(sigma_3d)),
     }

@@ -152,10 +152,54 @@ def assess_text(name: str, report: Mapping[str, Any]) -> str:
     ):
         lines.append(f"{label:12}" + "".join(_cell(column[key], "m") for column in columns))
     lines.append(f"{'NEES mean':12}" + "".join(_cell(column["nees_mean"], " ") for column in columns) + "  (3)")
-    lines.append(f"{'in 95 % ell.':12}" + "".join(_percent(column["coverage_95"]) for column in columns) + "  (95 %)")
+    for share in (50, 68, 95):
+        cells = "".join(_percent(column[f"coverage_{share}"]) for column in columns)
+        lines.append(f"in {share} % ell. " + cells + f"  ({share} %)")
+    if "calibration" in report:
+        lines += ["", *_calibration_lines(report["calibration"])]
     for note in report.get("notes", ()):
         lines += _field("note", note)
     return "\n".join(lines)
+
+
+def pool_text(record: Mapping[str, Any]) -> str:
+    """Screen of ``starwise assess --pool``: a line per run, one for all, and the calibration curve."""
+    head = f"{'':6}{'epochs':>8}{'RMS 3D':>8}{'claimed':>9}{'NEES':>7}{'50 %':>8}{'68 %':>8}{'95 %':>8}"
+    runs = record["runs"]
+    width = WIDTH - len(head)
+    lines = [f"{'':{width}}{'sess.':>6}" + head[6:]]
+    lines += [_pool_line(_short(run["name"], width - 1), run, width) for run in runs]
+    lines += ["", _pool_line("all sessions", record, width)]
+    nominal = "".join(f"{share:8.1f}" for share in (50.0, 68.0, 95.0))
+    lines += [f"{'nominal':{width}}{'':6}{'':8}{'':8}{'':9}{1.0:7.2f}{nominal}", ""]
+    lines += _calibration_lines(record["calibration"])
+    lines += ["", "RMS, claimed (1 sigma): 3D, m. NEES per degree of freedom. Sessions weigh alike"]
+    return "\n".join(lines)
+
+
+def _pool_line(name: str, item: Mapping[str, Any], width: int) -> str:
+    held = "".join(_number(item[f"coverage_{share}"], 8, 1, 100.0) for share in (50, 68, 95))
+    return (
+        f"{name:{width}}{item['sessions']:6d}{item['epochs_compared']:8d}{_number(item['rms_3d_m'], 8, 2)}"
+        f"{_number(item['sigma_3d_mean_m'], 9, 2)}{_number(item['nees_mean'], 7, 2)}{held}"
+    )
+
+
+def _short(name: str, width: int) -> str:
+    return name if len(name) <= width else "..." + name[3 - width :]
+
+
+def _number(value: float | None, width: int, digits: int, factor: float = 1.0) -> str:
+    return f"{'-':>{width}}" if value is None else f"{factor * value:{width}.{digits}f}"
+
+
+def _calibration_lines(curves: Mapping[str, Any]) -> list[str]:
+    """The calibration curve: shares of epochs, %, inside regions that claim to hold so many."""
+    lines = [f"{'truth inside, %, of regions of':34}" + "".join(f"{100.0 * p:10.0f} %" for p in curves["nominal"])]
+    for key, label in (("3d", "ellipsoid"), ("horizontal", "ellipse, horizontal"), ("vertical", "interval, vertical")):
+        shares = curves[key] or [None] * len(curves["nominal"])
+        lines.append(f"  {label:32}" + "".join(_number(share, 10, 1, 100.0) + "  " for share in shares).rstrip())
+    return lines
 
 
 def _cell(value: float | None, unit: str) -> str:
