@@ -676,6 +676,8 @@ class Solution:
         Columns row-aligned with each other; see `docs/formats.md`.
     provenance : dict
         Version, effective configuration, hashes of inputs, summary.
+    extra : dict of (n,) float64
+        What else was estimated, by the name of its column in the files (unit last): attitude, sensor biases.
     """
 
     t_ns: I8
@@ -694,6 +696,7 @@ class Solution:
     dof: I4
     ledger: dict[str, NDArray[Any]] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
+    extra: dict[str, F8] = field(default_factory=dict)
 
     @property
     def n_epochs(self) -> int:
