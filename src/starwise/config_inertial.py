@@ -19,13 +19,13 @@ class GyroNoise(Checked):
     """White noise (angle random walk), deg/sqrt(h)."""
     bias_dph: NotNegative = 1000.0
     """Bias at the start, unless rest gives it, deg/h."""
-    in_run_dph: NotNegative = 200.0
+    in_run_dph: NotNegative = 100.0
     """Size of the changes of the bias (first-order Markov), deg/h."""
     in_run_tau_s: Positive = 300.0
     """Their correlation time, s."""
     scale_ppm: NotNegative = 0.0
     """Scale factor error, ppm; estimated if not 0."""
-    vibration: NotNegative = 0.2
+    vibration: NotNegative = 0.3
     """Part of the scatter from reading to reading (over 0.5 s) that is white noise: vibration folded down."""
 
 
@@ -43,7 +43,7 @@ class AccelNoise(Checked):
     """Their correlation time, s."""
     scale_ppm: NotNegative = 0.0
     """Scale factor error, ppm; estimated if not 0."""
-    vibration: NotNegative = 0.05
+    vibration: NotNegative = 0.2
     """As for the gyroscopes."""
 
 
