@@ -196,6 +196,7 @@ def nested(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested mappings, the second over the first."""
     out = dict(base)
     for key, value in over.items():
         both = isinstance(value, Mapping) and isinstance(out.get(key), Mapping)
@@ -204,6 +205,7 @@ def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def with_file(error: StarwiseError, file: str | None) -> StarwiseError:
+    """The error with its file, unless it names one."""
     return StarwiseError(
         error.message, file=error.file or file, line=error.line, found=error.found, wanted=error.wanted
     )

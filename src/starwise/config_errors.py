@@ -59,11 +59,21 @@ class ErrorParameters(Checked):
     weak_m: NotNegative = 10.0
     weak_decade_db: Positive = 10.0
     """Loss of C/N0 over which they grow tenfold."""
-    weak_share: Annotated[float, Range(0.0, 1.0)] = 0.7
+    weak_share: Annotated[float, Range(0.0, 1.0)] = 0.95
     """Part of their variance that lasts; the rest is white."""
-    late_sigma: Positive = 2.0
+    rate_motion: NotNegative = 0.01
+    """Noise of a pseudorange rate per speed of the receiver,"""
+    rate_weak_per_m: NotNegative = 0.002
+    """and the same per metre of weak-signal sigma: reflections have Doppler shifts of other directions."""
+    scale_max: Annotated[float, Range(1.0, 100.0)] = 6.0
+    """Largest factor by which innovations may raise the sigmas of code noise and multipath,"""
+    scale_rise_s: Positive = 20.0
+    """time in which they do,"""
+    scale_fall_s: Positive = 900.0
+    """and in which the factor returns to one."""
+    late_sigma: Positive = 1.5
     """Innovation of a code, in sigmas, from which it counts less: codes that are late are suspect,"""
-    early_sigma: Positive = 2.5
+    early_sigma: Positive = 1.5
     """and those that are early, and rates."""
     floor_m: NotNegative = 0.25
     """Error of a position per axis that no state describes."""

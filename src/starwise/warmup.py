@@ -210,11 +210,11 @@ def _filter() -> None:
     filter_epoch.arrange(rows, out, 0, 0, work)
     filter_epoch.tally(rows, out, 0, belief.at, work)
     errors, extra = no_errors()
-    slots = error_states.Slots(belief.at, belief.at, belief.at, np.zeros(1, np.int64))
+    slots = error_states.Slots(belief.at, belief.at, belief.at, np.zeros(1, np.int64), np.ones(1))
     phi = np.ones(error_states.N_SKY)
     error_states.predict_errors(errors, slots, x, P, nk, 1, 1.0, F, phi)
     error_states.enter_satellites(errors, extra, work.order, 0, 0, slots, x, P, n)
-    colored.update_colored(options, errors, rows, extra, out, 0, x, P, nk, 1, belief.at, slots, x2, work)
+    colored.update_colored(options, errors, rows, extra, out, 0, x, P, nk, 1, belief.at, slots, 1.0, x2, work)
     filter_clocks.count_missed(rows, 0, 0, belief, work)
     filter_rows(epochs, rows, model, 1, config)
 

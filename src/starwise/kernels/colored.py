@@ -28,7 +28,9 @@ from starwise.kernels.error_states import (
     ErrorModel,
     ErrorRows,
     Slots,
+    adapt_scale,
     enter_satellites,
+    motion_rate_variance,
     n_errors,
     reset_errors,
     shell_mapping,
@@ -57,16 +59,16 @@ def _add(idx: I8, val: F8, k: int, element: int, value: float) -> int:
 @njit
 def code_states(
     errors: ErrorModel, rows: Rows, extra: ErrorRows, out: RowModel, i: int, second: bool, base: int, slot: int,
-    idx: I8, val: F8,
-) -> tuple[int, float]:  # fmt: skip
-    """Error states that a code of row i sees, from entry 4 of ``idx`` and ``val`` on; number of entries, white variance."""
+    scale: float, idx: I8, val: F8,
+) -> tuple[int, float, float]:  # fmt: skip
+    """Error states that a code of row i sees, from entry 4 of ``idx`` and ``val`` on; their end, white variance, part that is scaled."""
     el, az = out.elevation[i], out.azimuth[i]
     freq, cn0 = rows.freq_hz[i], rows.cn0_dbhz[i]
     if second:
         freq, cn0 = extra.freq2_hz[i], extra.cn02_dbhz[i]
     system = rows.system[i]
     first = base + N_SKY + errors.n_bias + slot * errors.block
-    white, multipath = signal_sigmas(errors, system, el, cn0, rows.noise_factor[i])
+    white, multipath, part = signal_sigmas(errors, system, el, cn0, rows.noise_factor[i], scale)
     s = max(math.sin(el), 0.05)
     k = _add(idx, val, 4, first + SLOW, extra.slow_m[i])
     k = _add(idx, val, k, base + TROPOSPHERE, errors.troposphere / (s + 0.02))
@@ -96,12 +98,12 @@ def code_states(
         k = _add(idx, val, k, first + state, multipath)
     else:
         white += multipath * multipath
-    return k, white
+    return k, white, part
 
 
 @njit
 def _times_p(P: F8, n: int, idx: I8, val: F8, count: int, a: F8) -> None:
-    """a = h P for a sparse row h; only the upper triangle of P is read."""
+    """Product a = h P for a sparse row h; only the upper triangle of P is read."""
     for i in range(n):
         a[i] = 0.0
     end = np.uint64(n)
@@ -115,7 +117,7 @@ def _times_p(P: F8, n: int, idx: I8, val: F8, count: int, a: F8) -> None:
 
 @njit
 def _correct(x: F8, P: F8, n: int, W: F8, y: F8) -> None:
-    """x += W' y and P -= W' W (upper triangle) with three rows of W."""
+    """Correction x += W' y and P -= W' W (upper triangle) with three rows of W."""
     y0, y1, y2 = y[0], y[1], y[2]
     a, b, c = W[0], W[1], W[2]
     end = np.uint64(n)
@@ -137,7 +139,7 @@ def _stretch(t: float, late: float, early: float) -> float:
 @njit
 def update_colored(
     options: FilterOptions, errors: ErrorModel, rows: Rows, extra: ErrorRows, out: RowModel, m: int,
-    x: F8, P: F8, nk: int, nc: int, at: I8, slots: Slots, x1: F8, work: Work,
+    x: F8, P: F8, nk: int, nc: int, at: I8, slots: Slots, dt: float, x1: F8, work: Work,
 ) -> tuple[float, int]:  # fmt: skip
     """Update of x and P with the satellites in ``work.order``; NIS and its degrees of freedom.
 
@@ -148,10 +150,13 @@ def update_colored(
     n = base + n_errors(errors, slots)
     idx, val, count = np.zeros((3, K_MAX), np.int64), np.zeros((3, K_MAX)), np.zeros(3, np.int64)
     W, L, y = np.zeros((3, n)), np.zeros((3, 3)), np.zeros(3)
-    v, r, limit = np.zeros(3), np.zeros(3), np.zeros((3, 2))
+    v, r, part = np.zeros(3), np.zeros(3), np.zeros(3)
+    total, weight = 0.0, 0.0
     for j in range(n):
         x1[j] = x[j]
-    nis, dof = 0.0, 0
+    nis, dof, speed2 = 0.0, 0, 0.0
+    if moving:
+        speed2 = x[3] * x[3] + x[4] * x[4] + x[5] * x[5]
     for q in range(m):
         i = work.order[q]
         c = nk + at[rows.clock[i]]
@@ -162,10 +167,11 @@ def update_colored(
             idx[b, 0], idx[b, 1], idx[b, 2], idx[b, 3] = 0, 1, 2, c
             val[b, 0], val[b, 1], val[b, 2], val[b, 3] = -ux, -uy, -uz, 1.0
         # Code of the first signal, of the second, and rate.
-        count[0], r[0] = code_states(errors, rows, extra, out, i, False, base, slot, idx[0], val[0])
+        scale = slots.scale[0]
+        count[0], r[0], part[0] = code_states(errors, rows, extra, out, i, False, base, slot, scale, idx[0], val[0])
         v[0], v[1], v[2] = v1, np.nan, v2
         if errors.dual and extra.code2_m[i] == extra.code2_m[i]:
-            count[1], r[1] = code_states(errors, rows, extra, out, i, True, base, slot, idx[1], val[1])
+            count[1], r[1], part[1] = code_states(errors, rows, extra, out, i, True, base, slot, scale, idx[1], val[1])
             iono2 = out.ionosphere[i] * (rows.freq_hz[i] / extra.freq2_hz[i]) ** 2
             v[1] = (
                 v1 + (extra.code2_m[i] - rows.code_m[i]) + (extra.clock2_m[i] - rows.clock_m[i])
@@ -182,14 +188,14 @@ def update_colored(
             idx[2, 4], idx[2, 5], idx[2, 6] = 3, 4, 5
             val[2, 4], val[2, 5], val[2, 6] = -ux, -uy, -uz
             count[2] = 7
-        r[2] = out.rate_var[i]
+        r[2] = out.rate_var[i] + motion_rate_variance(errors, rows.cn0_dbhz[i], speed2)
         if not r[2] < np.inf:
             v[2] = np.nan
         bits, rank = 0, 0
         extra.used[i] = 0
         work.vo[q, 0], work.vo[q, 1], work.so[q, 0], work.so[q, 1] = v[0], np.nan, np.nan, np.nan
         for b in range(3):
-            if not v[b] == v[b]:
+            if v[b] != v[b]:
                 continue
             t = v[b]
             if not options.sequential:
@@ -218,6 +224,9 @@ def update_colored(
                 work.vo[q, 1], work.so[q, 1] = vb, sb
             else:
                 extra.v2[i], extra.s2[i] = vb, sb
+            if b < 2 and sb > 0.0:
+                total += part[b] * min(vb * vb / sb, 9.0)
+                weight += part[b]
             if not (sb > 0.0 and vb * vb <= options.gate1 * sb):
                 continue
             nis += vb * vb / sb
@@ -247,6 +256,7 @@ def update_colored(
     for i in range(base):
         for j in range(i):
             P[i, j] = P[j, i]
+    adapt_scale(errors, slots, dt, total, weight)
     return nis, dof
 
 
@@ -320,7 +330,7 @@ def start_colored(
     m = arrange(rows, out, start, end, work)
     reset_errors(errors, slots, x, P, base)
     enter_satellites(errors, extra, work.order, m, t_ns, slots, x, P, base)
-    update_colored(options, errors, rows, extra, out, m, x, P, nk, nc, at, slots, x1, work)
+    update_colored(options, errors, rows, extra, out, m, x, P, nk, nc, at, slots, 0.0, x1, work)
     tally(rows, out, m, at, work)
     if doubt > 1.0:
         n = base + n_errors(errors, slots)

@@ -83,6 +83,11 @@ class ErrorModel(NamedTuple):
     weak_sigma: float
     weak_decade: float  # dB over which that grows tenfold
     weak_share: float  # part of its variance that lasts (multipath state), the rest is white
+    rate_motion: float  # noise of a rate per speed of the receiver
+    rate_weak: float  # the same per m of weak-signal sigma, 1/m
+    scale_max: float  # largest factor on the sigmas of code noise and multipath
+    scale_rise: float  # s, with which it follows innovations that are too large
+    scale_fall: float  # and too small
     late: float  # normalised innovation of a code beyond which it counts less: late by so much
     early: float  # or early
     floor: float  # of the position, per axis
@@ -112,6 +117,7 @@ class Slots(NamedTuple):
     sv: I8  # (n_max,) satellite of each slot
     seen_ns: I8  # (n_max,)
     size: I8  # (1,) their number
+    scale: F8  # (1,) factor on the variance of code noise and multipath, from 1
 
 
 @njit
@@ -269,18 +275,51 @@ def shell_offset(el: float) -> float:
 
 
 @njit
-def signal_sigmas(errors: ErrorModel, system: int, el: float, cn0: float, factor: float) -> tuple[float, float]:
-    """Variance of white noise (m^2) and standard deviation of multipath (m) of a code.
+def weak_sigma(errors: ErrorModel, cn0: float) -> float:
+    """Standard deviation of reflection and diffraction at a C/N0 (dB-Hz; NaN: not known), m."""
+    if not cn0 == cn0:
+        return 0.0
+    return float(errors.weak_sigma * 10.0 ** ((errors.weak_cn0 - max(cn0, 10.0)) / errors.weak_decade))
+
+
+@njit
+def motion_rate_variance(errors: ErrorModel, cn0: float, speed2: float) -> float:
+    """Variance that motion adds to a rate, (m/s)^2: a reflected signal has the Doppler shift of another direction."""
+    b = errors.rate_weak * weak_sigma(errors, cn0)
+    return speed2 * (errors.rate_motion * errors.rate_motion + b * b)
+
+
+@njit
+def signal_sigmas(
+    errors: ErrorModel, system: int, el: float, cn0: float, factor: float, scale: float
+) -> tuple[float, float, float]:
+    """Variance of white noise (m^2), standard deviation of multipath (m), and the part of both that is scaled.
 
     Reflected and diffracted signals are weak, and late by the size of streets.
     """
     s = max(math.sin(el), 0.05)
-    low, weak = 1.0, 0.0
+    low = 1.0
     if cn0 == cn0 and cn0 < 45.0:
         low = 10.0 ** ((45.0 - max(cn0, 10.0)) / 10.0)
-    if cn0 == cn0:
-        weak = (errors.weak_sigma * 10.0 ** ((errors.weak_cn0 - max(cn0, 10.0)) / errors.weak_decade)) ** 2
+    weak = weak_sigma(errors, cn0) ** 2
     a = errors.code_white[system] * factor
-    white = a * a * (0.5 * low + 0.5 / (s * s)) + (1.0 - errors.weak_share) * weak
-    b = errors.multipath_sigma[system] / s
-    return white, math.sqrt(b * b + errors.weak_share * weak)
+    white = scale * a * a * (0.5 * low + 0.5 / (s * s))
+    b = scale * (errors.multipath_sigma[system] / s) ** 2
+    part = (white + b) / (white + b + weak)
+    return white + (1.0 - errors.weak_share) * weak, math.sqrt(b + errors.weak_share * weak), part
+
+
+@njit
+def adapt_scale(errors: ErrorModel, slots: Slots, dt: float, total: float, weight: float) -> None:
+    """Factor on the variance of code noise and multipath from the normalised innovations of an epoch.
+
+    ``total`` / ``weight`` is their mean square, one if the factor is right. Innovations that are too large raise it
+    at once: the antenna came among reflectors. Small ones take long to lower it: at rest, reflections stay as they are
+    and show in no innovation. It never falls below one.
+    """
+    if not weight > 0.0 or not dt > 0.0:
+        return
+    q = total / weight
+    tau = errors.scale_rise if q > 1.0 else errors.scale_fall
+    scale = slots.scale[0] * (1.0 + (q - 1.0) * -math.expm1(-dt / tau))
+    slots.scale[0] = min(max(scale, 1.0), errors.scale_max**2)

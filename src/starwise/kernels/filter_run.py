@@ -169,7 +169,7 @@ def filter_run(
         size += N_SKY + errors.n_bias + errors.block * max_slots
     slots = Slots(
         np.full(7 * 256, -1, np.int64), np.zeros(max_slots, np.int64), np.zeros(max_slots, np.int64),
-        np.zeros(1, np.int64),
+        np.zeros(1, np.int64), np.ones(1),
     )  # fmt: skip
     phi = np.ones(size)
     los, vectors = np.zeros((2, m_max, 3)), np.zeros((4, size))
@@ -205,7 +205,7 @@ def filter_run(
             reset_errors(errors, slots, x, P, nk + 2 * nc)
     for e in range(len(epochs.t_ns)):
         t_ns, start, end = epochs.t_ns[e], epochs.offsets[e], epochs.offsets[e + 1]
-        lost = not running
+        lost, dt = not running, 0.0
         m = 0
         if running:
             dt = (t_ns - t_last) * 1e-9
@@ -269,7 +269,7 @@ def filter_run(
             nc = activate_clocks(options, rows, out, m, t_ns, nk, nc, tail, belief, x2, P2, work)
         if errors.on:
             enter_satellites(errors, extra, work.order, m, t_ns, slots, x, P, nk + 2 * nc)
-            nis, dof = update_colored(options, errors, rows, extra, out, m, x, P, nk, nc, at, slots, x2, work)
+            nis, dof = update_colored(options, errors, rows, extra, out, m, x, P, nk, nc, at, slots, dt, x2, work)
         else:
             nis, dof = update_epoch(options, rows, out, m, x, P, nk, nc, at, x2, P2, work)
         n_used, agreed, n_clocks = tally(rows, out, m, at, work)
