@@ -91,7 +91,9 @@ def fixes(seed, n=60, sigmas=(10.0, 23.0, 5.0), rates=(1, 1, 1)):
     truth = BASE[:3] + np.outer(np.arange(1, n + 1), [3.0, -200.0, 10.0])
     return [
         [
-            (H, truth[e] + s * rng.standard_normal(3), np.full(3, s * s)) if e % rate == 0 else (H[:0], np.zeros(0), np.zeros(0))
+            (H, truth[e] + s * rng.standard_normal(3), np.full(3, s * s))
+            if e % rate == 0
+            else (H[:0], np.zeros(0), np.zeros(0))
             for s, rate in zip(sigmas, rates, strict=True)
         ]
         for e in range(n)

@@ -12,6 +12,7 @@ from starwise.terminal import Json, Progress, show, show_json
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Directory for the results.")]
 Runs = Annotated[int, typer.Option("--runs", metavar="N", min=1, help="Monte Carlo runs; they are resumed.")]
 Seed = Annotated[int | None, typer.Option("--seed", metavar="S", help="In place of the scenario's.")]
+PAPERS = ("s3ekf", "adaptive_federated")
 Workers = Annotated[int | None, typer.Option("--workers", metavar="N", min=1, help="Processes; default: all cores.")]
 
 
@@ -69,7 +70,7 @@ def _simulate_text(record: dict[str, Any], output: Path, seconds: float) -> str:
 
 
 def reproduce(
-    paper: Annotated[str, typer.Argument(metavar="PAPER", help="s3ekf: sequential EKF (Chen, Zhang, Huo 2012).")],
+    paper: Annotated[str, typer.Argument(metavar="PAPER", help="One of: s3ekf, adaptive_federated.")],
     output: Output = Path("starwise-reproduce"),
     runs: Runs = 100,
     seed: Seed = None,
@@ -81,10 +82,13 @@ def reproduce(
     as_json: Json = False,
 ) -> None:
     """Results of a paper, beside its own figures: tables, figures and a report."""
-    if paper != "s3ekf":
-        raise StarwiseError("no such paper", found=paper, wanted="s3ekf")
+    if paper not in PAPERS:
+        raise StarwiseError("no such paper", found=paper, wanted=" | ".join(PAPERS))
     if data is not None and not data.is_dir():
         raise StarwiseError("no such folder", file=data)
+    if paper == "adaptive_federated":
+        _adaptive_federated(output, runs, seed, workers, as_json)
+        return
     from starwise.studies.s3ekf import reproduce_s3ekf
 
     with Progress(as_json) as progress:
@@ -95,3 +99,16 @@ def reproduce(
     from starwise.studies.s3ekf_report import short_text
 
     show(short_text(result) + f"\nThe whole report: {output / 'report.md'}")
+
+
+def _adaptive_federated(output: Path, runs: int, seed: int | None, workers: int | None, as_json: bool) -> None:
+    """Adaptive federated filter (Sun, Wu, Zhao, Liu 2009)."""
+    from starwise.studies.adaptive_federated import reproduce_adaptive_federated
+    from starwise.studies.adaptive_federated_report import short_text
+
+    with Progress(as_json) as progress:
+        result = reproduce_adaptive_federated(output, runs, seed, workers, progress)
+    if as_json:
+        show_json(result)
+    else:
+        show(short_text(result) + f"\nThe whole report: {output / 'report.md'}")

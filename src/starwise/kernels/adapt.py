@@ -24,7 +24,7 @@ SAGE_HUSA      the same two quantities as recursive means with weight d_k = (1 -
                R from innovations; one factor at a time, chosen by `noise`
 HUBER          r / w with w = 1 for |v| / s <= c, else c s / |v|
 IGG3           w = 1 for u = |v| / s <= c, c / u ((c1 - u) / (c1 - c))^2 up to c1, beyond it the row is rejected
-               (Yang, Song, Xu 2002, "Robust estimator for correlated observations based on bifactor equivalent weights")
+               (Yang, Song, Xu 2002, J. Geodesy 76, "Robust estimator for correlated observations ...")
 
 All factors are kept within `least` and `most`.
 """

@@ -294,13 +294,11 @@ def watch_clocks(options: Options, locals_: Locals, use: Bool, level: F8, suspec
     level : (K, K, 2)
         Estimate and variance of the difference of two clocks (variance 0: not known yet), brought up to date.
     suspect : (K,) bool
-        Result: its difference to *every* other clock has left its level, and at least two others agree.
+        Result: its differences to at least two other clocks have left their levels, and no other difference has.
     """
     K, c = len(use), options.clock
     bad = np.zeros(K, dtype=np.int64)
-    count = 0
-    for i in range(K):
-        count += 1 if use[i] else 0
+    pairs = 0
     for i in range(K):
         for j in range(i):
             if not (use[i] and use[j]):
@@ -315,20 +313,14 @@ def watch_clocks(options: Options, locals_: Locals, use: Bool, level: F8, suspec
             if v * v > options.clock_gate * (s + level[i, j, 1]):
                 bad[i] += 1
                 bad[j] += 1
+                pairs += 1
                 continue
             # a clock estimate is a filter's: its errors stay for tens of epochs, and count once in so many
             k = level[i, j, 1] / (level[i, j, 1] + 30.0 * s)
             level[i, j, 0] += k * v
             level[i, j, 1] *= 1.0 - k
     for i in range(K):
-        suspect[i] = use[i] and count >= 3 and bad[i] == count - 1
-    if count >= 3:
-        named = 0
-        for i in range(K):
-            named += 1 if suspect[i] else 0
-        if named > 1:
-            for i in range(K):
-                suspect[i] = False
+        suspect[i] = bad[i] >= 2 and bad[i] == pairs
 
 
 @njit

@@ -32,6 +32,9 @@ F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 
 
+DEAD_BAND = 2.0
+
+
 class Bank(NamedTuple):
     """Numbers of a bank of hypotheses."""
 
@@ -45,6 +48,7 @@ class Bank(NamedTuple):
     velocity_sigma0: float  # at the start, m/s
     scale_window: float  # epochs over which the noise scale is averaged; 0: the nominal noise is believed
     scale_prior: float  # weight of the nominal noise in it, epochs
+    most_inflation: float  # limit of the factor on variances that makes up for correlated errors; 1: errors are white
 
 
 class BankOut(NamedTuple):
@@ -55,6 +59,7 @@ class BankOut(NamedTuple):
     cov_vel: F8  # (n, 3, 3)
     cruise: F8  # (n,) probability of cruise
     scale: F8  # (n,) factor on the standard deviations of the fixes
+    correlation: F8  # (n,) of the fixes' errors from epoch to epoch
     nis: F8  # (n,) of the fused fix against the prediction, mixture's moments; chi-square with 3 dof
     used: NDArray[np.bool_]  # (n, receivers)
 
@@ -252,15 +257,18 @@ def interact(bank: Bank, dt: float, x: F8, P: F8, w: F8, x1: F8, P1: F8, w1: F8)
 
 
 @njit
-def combine(z: F8, r: F8, zc: F8, rc: F8) -> tuple[float, int]:
-    """Inverse-variance combination of fixes z, r (receivers, 3) into zc, rc (3,); chi-square of their differences.
+def combine(z: F8, r: F8, zc: F8, rc: F8, deviation: F8) -> tuple[float, float, int]:
+    """Inverse-variance combination of fixes z, r (receivers, 3) into zc, rc (3,); statistics of their differences.
+
+    ``deviation`` (receivers, 3) holds the normalised deviations from the combination of the epoch before (NaN: none),
+    and of this one on return.
 
     Returns
     -------
-    float, int
-        Sum of the squared normalised deviations from the combination, and its degrees of freedom.
+    float, float, int
+        Sum of the squared deviations, sum of their products with those of the epoch before, degrees of freedom.
     """
-    chi2, dof = 0.0, 0
+    chi2, product, dof = 0.0, 0.0, 0
     for a in range(3):
         weight, total = 0.0, 0.0
         count = 0
@@ -272,10 +280,14 @@ def combine(z: F8, r: F8, zc: F8, rc: F8) -> tuple[float, int]:
         zc[a] = total / weight if count else math.nan
         rc[a] = 1.0 / weight if count else math.nan
         for k in range(len(z)):
-            if not math.isnan(z[k, a]):
-                chi2 += (z[k, a] - zc[a]) ** 2 / r[k, a]
+            d = (z[k, a] - zc[a]) / math.sqrt(r[k, a])  # NaN where there is no fix
+            if not math.isnan(d):
+                chi2 += d * d
+                if not math.isnan(deviation[k, a]):
+                    product += d * deviation[k, a]
+            deviation[k, a] = d
         dof += max(count - 1, 0)
-    return chi2, dof
+    return chi2, product, dof
 
 
 @njit
@@ -302,19 +314,27 @@ def bank_run(bank: Bank, t: F8, z: F8, r: F8, share: F8, out: BankOut) -> None:
     zc, rc, zk, rk, sk = np.zeros(3), np.zeros(3), np.zeros(K), np.zeros(K), np.zeros(K)
     F, G = np.zeros((M + 1, 3, 3)), np.zeros((M + 1, 3, 3))
     begun = False
-    chi_sum, dof_sum = 0.0, 0.0
-    scale2 = 1.0
+    deviation = np.full((K, 3), math.nan)
+    chi_sum, product_sum, dof_sum = 0.0, 0.0, 0.0
+    scale2, rho = 1.0, 0.0
     t_last, dt_last = 0.0, -1.0
     for e in range(n):
-        chi2, dof = combine(z[e], r[e], zc, rc)
+        chi2, product, dof = combine(z[e], r[e], zc, rc, deviation)
         if bank.scale_window > 0.0 and dof > 0:
             # the scale in use is of the epochs before and of this one; the nominal noise counts as a few epochs
             keep = 1.0 - 1.0 / bank.scale_window
+            product_sum = keep * product_sum + product
             chi_sum = keep * chi_sum + chi2
             dof_sum = keep * dof_sum + dof
             prior = bank.scale_prior * 3.0
             scale2 = (chi_sum + prior) / (dof_sum + prior)
+            # of white errors the estimate is within 2 / sqrt(dof) of zero: no correlation is seen there
+            rho = max(product_sum / max(chi_sum, 1e-300) - DEAD_BAND / math.sqrt(max(dof_sum, 1.0)), 0.0)
+            rho = min(rho, 0.999) if dof_sum > 10.0 else 0.0
         out.scale[e] = math.sqrt(scale2)
+        out.correlation[e] = rho
+        # a mean over many epochs of errors rho^k is as uncertain as one of white errors of this variance
+        scale2 *= min((1.0 + rho) / (1.0 - rho), bank.most_inflation)
         got = not math.isnan(zc[0])
         total = 0.0
         for k in range(K):
