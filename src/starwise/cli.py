@@ -71,6 +71,10 @@ def solve(
     ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Directory for the results.")],
     method: Annotated[str | None, typer.Option(metavar="lsq|ekf|s3ekf", help="Estimator; default s3ekf.")] = None,
+    error_model: Annotated[
+        str | None,
+        typer.Option(metavar="colored|white", help="Range errors that last, as states, or white; default colored."),
+    ] = None,
     systems: Annotated[str | None, typer.Option(metavar="LETTERS", help="Satellite systems; default GRECJ.")] = None,
     mask: Annotated[float | None, typer.Option(metavar="DEG", help="Elevation mask; default 10.")] = None,
     dynamics: Annotated[
@@ -97,7 +101,11 @@ def solve(
         typer.Option(metavar="LENGTH", help="Start anew after every such time, like 2h; for assess --pool."),
     ] = None,
     combination: Annotated[
-        str | None, typer.Option(metavar="single|ionosphere_free", help="One frequency or two; default single.")
+        str | None,
+        typer.Option(
+            metavar="single|uncombined|ionosphere_free",
+            help="One frequency or two; default two beside each other (colored), one (white).",
+        ),
     ] = None,
     exclude: Annotated[
         list[str] | None, typer.Option(metavar="SV", help="Satellite not to be used, like G05; repeatable.")
@@ -116,6 +124,7 @@ def solve(
     began = time.perf_counter()
     named = {
         "method": method,
+        "error_model": error_model,
         "systems": systems,
         "mask_deg": mask,
         "dynamics": dynamics,

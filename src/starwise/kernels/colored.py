@@ -61,7 +61,7 @@ def code_states(
     errors: ErrorModel, rows: Rows, extra: ErrorRows, out: RowModel, i: int, second: bool, base: int, slot: int,
     scale: float, idx: I8, val: F8,
 ) -> tuple[int, float, float]:  # fmt: skip
-    """Error states that a code of row i sees, from entry 4 of ``idx`` and ``val`` on; their end, white variance, part that is scaled."""
+    """Error states that a code of row i sees, from entry 4 of idx and val on; end, white variance, scaled part."""
     el, az = out.elevation[i], out.azimuth[i]
     freq, cn0 = rows.freq_hz[i], rows.cn0_dbhz[i]
     if second:

@@ -277,7 +277,7 @@ def shell_offset(el: float) -> float:
 @njit
 def weak_sigma(errors: ErrorModel, cn0: float) -> float:
     """Standard deviation of reflection and diffraction at a C/N0 (dB-Hz; NaN: not known), m."""
-    if not cn0 == cn0:
+    if cn0 != cn0:
         return 0.0
     return float(errors.weak_sigma * 10.0 ** ((errors.weak_cn0 - max(cn0, 10.0)) / errors.weak_decade))
 
