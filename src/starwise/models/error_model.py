@@ -1,12 +1,15 @@
 """The coloured error model of a run: parameters and rows as the kernels take them."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from starwise.config import RunConfig
 from starwise.config_errors import ErrorParameters
-from starwise.constants import N_SYSTEMS, ROW_USED, SYS_C, SYS_E, SYS_G, SYS_J, SYS_R
+from starwise.constants import N_SYSTEMS, ROW_USED, SYS_C, SYS_E, SYS_G, SYS_J, SYS_R, SYSTEMS
 from starwise.kernels.error_states import ErrorModel, ErrorRows
+from starwise.signals import signal_name, sv_name
 from starwise.types import F8, I8, Observations, Sightings
 
 MAX_SLOTS = 64
@@ -37,14 +40,14 @@ def slow_sigma(p: ErrorParameters, sv: NDArray[np.int16], claim_m: F8, nominal_m
     healthy broadcast record: what exceeds it (age, poor accuracy, an unknown group delay) is added in variance.
     """
     table = np.full(N_SYSTEMS, 1.0)
-    for system, value in (
+    for known, value in (
         (SYS_G, p.slow_gps_m),
         (SYS_R, p.slow_glonass_m),
         (SYS_E, p.slow_galileo_m),
         (SYS_C, p.slow_beidou_m),
         (SYS_J, p.slow_qzss_m),
     ):
-        table[system] = value
+        table[known] = value
     system = sv >> 8
     slow = table[system]
     geo = (system == SYS_C) & np.isin(sv & 255, list(GEO))
@@ -54,11 +57,12 @@ def slow_sigma(p: ErrorParameters, sv: NDArray[np.int16], claim_m: F8, nominal_m
     return np.where(precise, np.hypot(p.precise_m, claim_m), np.hypot(slow, excess))
 
 
-def _biases(sv: NDArray[np.int16], sig: NDArray[np.int16], sig2: NDArray[np.int16]) -> tuple[I8, I8, int]:
-    """Index of the receiver code bias of the first and second signals; their number. QZSS shares GPS's clock."""
+def _biases(sv: NDArray[np.int16], sig: NDArray[np.int16], sig2: NDArray[np.int16]) -> tuple[I8, I8, tuple[str, ...]]:
+    """Index of the receiver code bias of the first and second signals; names. QZSS shares GPS's clock."""
     key1 = (sv >> 8).astype(np.int64) << 16 | sig
     key2 = (sv >> 8).astype(np.int64) << 16 | sig2
     index: dict[int, int] = {}
+    bias_names: list[str] = []
     systems = sv >> 8
     for system in np.unique(systems).tolist():
         here = systems == system
@@ -70,7 +74,8 @@ def _biases(sv: NDArray[np.int16], sig: NDArray[np.int16], sig2: NDArray[np.int1
             lead = -1  # its first signal, too, is delayed against that of GPS
         others = set(names.tolist()) | set(np.unique(sig2[here & (sig2 > 0)]).tolist())
         for name in sorted(others - {lead}):
-            index[int(system) << 16 | int(name)] = len(index)
+            index[system << 16 | name] = len(index)
+            bias_names.append(f"bias.{SYSTEMS[system]}.{signal_name(name)}")
 
     def look(key: I8, valid: NDArray[np.bool_]) -> I8:
         out = np.full(len(key), -1, dtype=np.int64)
@@ -78,7 +83,7 @@ def _biases(sv: NDArray[np.int16], sig: NDArray[np.int16], sig2: NDArray[np.int1
             out[(key == value) & valid] = place
         return out
 
-    return look(key1, sig > 0), look(key2, sig2 > 0), len(index)
+    return look(key1, sig > 0), look(key2, sig2 > 0), tuple(bias_names)
 
 
 def error_rows(
@@ -90,8 +95,8 @@ def error_rows(
     delay2_m: F8,
     frequency: F8,
     cn0_dbhz: F8 | None,
-) -> tuple[ErrorRows, int]:
-    """Rows of the coloured error model, and the number of receiver code biases.
+) -> tuple[ErrorRows, tuple[str, ...]]:
+    """Rows of the coloured error model, and the names of the receiver code biases.
 
     Parameters
     ----------
@@ -110,7 +115,7 @@ def error_rows(
     """
     n = len(s.sv)
     use = (s.status == ROW_USED) & (s.row2 >= 0)
-    bias1, bias2, n_bias = _biases(s.sv, s.sig, np.where(use, s.sig2, np.int16(0)))
+    bias1, bias2, bias_names = _biases(s.sv, s.sig, np.where(use, s.sig2, np.int16(0)))
     code2, freq2, cn02, clock2 = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
     row2 = s.row2[use]
     code2[use] = obs.code_m[row2]
@@ -132,7 +137,7 @@ def error_rows(
         s2=np.full(n, np.nan),
         used=np.zeros(n, dtype=np.uint8),
     )
-    return rows, n_bias
+    return rows, bias_names
 
 
 def error_model(p: ErrorParameters, dual: bool, n_bias: int, interval_s: float) -> ErrorModel:
@@ -190,3 +195,25 @@ def error_model(p: ErrorParameters, dual: bool, n_bias: int, interval_s: float) 
         floor=p.floor_m,
         absent_s=p.absent_s,
     )
+
+
+def error_names(errors: ErrorModel, bias_names: tuple[str, ...], satellites: Sequence[int]) -> tuple[str, ...]:
+    """Names of the error states in their order, for a `starwise.types.Layout` behind motion and clocks.
+
+    Parameters
+    ----------
+    errors : ErrorModel
+    bias_names : tuple of str
+        Receiver code biases.
+    satellites : sequence of int
+        Identifiers of the satellites with states, in the order of their slots.
+    """
+    names = ["trop", "iono.v", "iono.n", "iono.e", "slope.1", "slope.2", *bias_names]
+    block = ["slow", "iono", "sig1"]
+    if errors.signal2 >= 0:
+        block.append("sig2")
+    if errors.multipath1 >= 0:
+        block.append("mp1")
+    if errors.multipath2 >= 0:
+        block.append("mp2")
+    return (*names, *(f"{kind}.{sv_name(sv)}" for sv in satellites for kind in block))

@@ -95,6 +95,8 @@ class Prepared:
     """System letter of each receiver clock; QZSS shares that of GPS where both are used."""
     errors: ErrorModel
     error_rows: ErrorRows
+    bias_names: tuple[str, ...]
+    """Receiver code biases among the error states."""
     notes: tuple[str, ...]
     """What was decided where the inputs are silent: for the summary."""
 
@@ -172,17 +174,18 @@ def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel
         status=status,
     )
     errors, extra = no_errors()
+    bias_names: tuple[str, ...] = ()
     if config.error_model == "colored":
-        errors, extra = _colored(obs, s, states, ephemeris, rows, delay, config)
+        errors, extra, bias_names = _colored(obs, s, states, ephemeris, rows, delay, config)
     return Prepared(
         s, states, delay, row_status, rows, Epochs(s.t_ns, s.offsets), options, clock_names, errors, extra,
-        tuple(notes),
+        bias_names, tuple(notes),
     )  # fmt: skip
 
 
 def _colored(
     obs: Observations, s: Sightings, states: SatStates, ephemeris: Ephemeris, rows: Rows, delay: F8, config: RunConfig
-) -> tuple[ErrorModel, ErrorRows]:
+) -> tuple[ErrorModel, ErrorRows, tuple[str, ...]]:
     """The coloured error model of a run and what it needs of each row."""
     dual = second_signals(config)
     delay2 = np.full(len(s.sv), np.nan)
@@ -190,7 +193,7 @@ def _colored(
         second = np.flatnonzero((s.status == ROW_USED) & (s.row2 >= 0))
         none = np.zeros(len(second), dtype=np.int16)
         delay2[second] = ephemeris.group_delay(states.record[second], s.sv[second], s.sig2[second], none)
-    extra, n_bias = error_rows(
+    extra, bias_names = error_rows(
         obs,
         s,
         slow_sigma(config.errors, s.sv, rows.sigma_sat_m, EPHEMERIS_SIGMA_M[s.sv >> 8]),
@@ -203,7 +206,7 @@ def _colored(
     dual = dual and bool(np.isfinite(extra.code2_m).any())
     steps = np.diff(s.t_ns)
     interval_s = float(np.median(steps)) * 1e-9 if len(steps) else 1.0
-    return error_model(config.errors, dual, n_bias, interval_s), extra
+    return error_model(config.errors, dual, len(bias_names), interval_s), extra, bias_names
 
 
 def _waiting(ephemeris: Ephemeris, t_rx_ns: I8, sv: I2, code_m: F8, status: NDArray[np.int8]) -> list[str]:
