@@ -34,6 +34,10 @@ _GAMMA_E = 9.7803253359  # m/s^2, NGA.STND.0036 table 3.7
 _K = (1.0 - WGS84_F) * 9.8321849379 / _GAMMA_E - 1.0  # Somigliana's constant, GAMMA_P of the same table
 _M = OMEGA_IE**2 * WGS84_A**3 * (1.0 - WGS84_F) / 3.986004418e14  # centrifugal over gravitational, equator
 
+_G1 = 2.0 / WGS84_A * (1.0 + WGS84_F + _M)
+_G2 = 4.0 / WGS84_A * WGS84_F
+_G3 = 3.0 / WGS84_A**2
+
 
 @njit
 def radii(s2: float) -> tuple[float, float]:
@@ -50,8 +54,7 @@ def gravity_down(s2: float, h: float) -> float:
     NGA.STND.0036 eq. (4-1), (4-3); 1e-7 m/s^2 on the ground, 1e-5 at 20 km.
     """
     g0 = _GAMMA_E * (1.0 + _K * s2) / math.sqrt(1.0 - WGS84_E2 * s2)
-    first = 2.0 / WGS84_A * (1.0 + WGS84_F + _M - 2.0 * WGS84_F * s2)
-    return g0 * (1.0 - first * h + 3.0 * h * h / (WGS84_A * WGS84_A))
+    return g0 * (1.0 - (_G1 - _G2 * s2) * h + _G3 * h * h)
 
 
 @njit
@@ -131,9 +134,9 @@ def advance(
         Velocity change by specific force over the interval, m/s, navigation axes (mean specific force times dt).
     """
     # The interval before, scaled to the length of this one
-    k = dt / last[6] if last[6] > 0.0 else 0.0
-    if k > 3.0:
-        k = 0.0
+    k = 1.0
+    if dt != last[6]:
+        k = dt / last[6] if dt < 3.0 * last[6] else 0.0
     if k > 0.0:
         bx, by, bz = k * last[0], k * last[1], k * last[2]
         wx, wy, wz = k * last[3], k * last[4], k * last[5]
@@ -162,18 +165,20 @@ def advance(
     fn = C00 * sx + C01 * sy + C02 * sz
     fe = C10 * sx + C11 * sy + C12 * sz
     fd = C20 * sx + C21 * sy + C22 * sz
-    # The Earth at mid-interval
+    # The Earth at mid-interval: what `radii` and `gravity_down` say, with one root and few divisions
     vn, ve, vd = nav[4], nav[5], nav[6]
     s, c = math.sin(nav[7]), math.cos(nav[7])
-    R_M, R_N = radii(s * s)
     h = nav[9] - 0.5 * dt * (vd + 0.25 * (fd + dt * 9.8))
-    dL = 0.5 * dt * (vn + 0.25 * fn) / (R_M + h)
+    dL = 0.5 * dt * (vn + 0.25 * fn) * (1.0 / WGS84_A)  # to 0.5 %, of a shift that is below 1e-5
     s, c = s + c * dL, c - s * dL
-    R_M += 3.0 * WGS84_E2 * WGS84_A * s * c * dL
-    R_N += WGS84_E2 * WGS84_A * s * c * dL
-    t = s / c
-    g = gravity_down(s * s, h)
+    s2 = s * s
+    w = 1.0 / math.sqrt(1.0 - WGS84_E2 * s2)
+    R_N = WGS84_A * w
+    R_M = R_N * (1.0 - WGS84_E2) * w * w
+    g = _GAMMA_E * (1.0 + _K * s2) * w * (1.0 - (_G1 - _G2 * s2) * h + _G3 * h * h)
     g_n = -1.628e-8 * h * s * c  # normal gravity at height leans: h times its change with latitude
+    c1 = 1.0 / c
+    t = s * c1
     wie_n, wie_d = OMEGA_IE * c, -OMEGA_IE * s
     rm, rn = 1.0 / (R_M + h), 1.0 / (R_N + h)
     # Velocity at mid-interval, with the transport rate of the start, then everything with it
@@ -194,7 +199,7 @@ def advance(
     rn_d = dt * (vd + 0.5 * dd - (C20 * jx + C21 * jy + C22 * jz))
     nav[4], nav[5], nav[6] = vn + dn, ve + de, vd + dd
     nav[7] += rn_n * rm
-    nav[8] += rn_e * rn / c
+    nav[8] += rn_e * rn * c1
     nav[9] -= rn_d
     rotate_right(nav, px, py, pz)
     rotate_left(nav, -zn, -ze, -zd)
