@@ -16,7 +16,7 @@ import numpy as np
 
 from starwise.constants import NS
 from starwise.errors import StarwiseError
-from starwise.frames import C_ne_enu, ecef_from_geodetic, geodetic_from_ecef
+from starwise.frames import ecef_from_geodetic, geodetic_from_ecef, rotations_ne_enu
 from starwise.kernels.rdss import fix_many
 from starwise.types import F8, I8, Fixes
 
@@ -139,14 +139,31 @@ def rdss_geometry(pos_e: F8, sats_e: F8, noise: RdssNoise | None = None) -> Rdss
         No geometry: a user in the plane of the satellites (the equator).
     """
     noise = noise or RdssNoise()
-    lat, lon, _ = geodetic_from_ecef(pos_e)
-    C = C_ne_enu(float(lat), float(lon))
-    away = (np.asarray(pos_e) - sats_e) @ C.T
-    G = np.vstack([away / np.linalg.norm(away, axis=1, keepdims=True), [0.0, 0.0, 1.0]])
-    if abs(np.linalg.det(G)) < 1e-4:
-        raise StarwiseError("no position from these satellites", found=f"latitude {np.degrees(lat):.3f} deg")
-    A = np.linalg.inv(G)
+    A = _inverse(np.asarray(pos_e)[None], sats_e)[0]
     return RdssGeometry(noise.distance_m**2 * A[:, :2] @ A[:, :2].T, noise.height_m**2 * A[:, 2:] @ A[:, 2:].T)
+
+
+def rdss_covariances(pos_e: F8, sats_e: F8, noise: RdssNoise | None = None) -> F8:
+    """Covariances of fixes at many places, east, north, up, (n, 3, 3), m^2; see `rdss_geometry`."""
+    noise = noise or RdssNoise()
+    A = _inverse(np.asarray(pos_e), sats_e)
+    variances = np.array([noise.distance_m**2, noise.distance_m**2, noise.height_m**2])
+    return np.asarray((A * variances) @ A.transpose(0, 2, 1))
+
+
+def _inverse(pos_e: F8, sats_e: F8) -> F8:
+    """G^-1 (n, 3, 3), east, north, up, of users (n, 3)."""
+    llh = geodetic_from_ecef(pos_e)
+    C = rotations_ne_enu(llh[:, 0], llh[:, 1])
+    away = (pos_e[:, None, :] - sats_e) @ C.transpose(0, 2, 1)
+    G = np.zeros((len(pos_e), 3, 3))
+    G[:, :2] = away / np.linalg.norm(away, axis=2, keepdims=True)
+    G[:, 2, 2] = 1.0
+    flat = np.abs(np.linalg.det(G)) < 1e-4
+    if flat.any():
+        lat = float(np.degrees(llh[flat, 0][0]))
+        raise StarwiseError("no position from these satellites", found=f"latitude {lat:.3f} deg")
+    return np.asarray(np.linalg.inv(G), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -230,10 +247,8 @@ def rdss_fixes(
     h = llh[:, 2] + noise.height_m * rng.standard_normal(n)
     lat0, lon0 = np.degrees(llh[0, :2]) if n else (30.0, 110.0)
     found = solve_rdss(trips, h, sats, (float(lat0), float(lon0)))
-    cov = np.empty((n, 3, 3))
-    for i in range(n):
-        C = C_ne_enu(float(llh[i, 0]), float(llh[i, 1]))
-        cov[i] = C.T @ rdss_geometry(pos_e[i], sats, noise).cov_enu @ C
+    C = rotations_ne_enu(llh[:, 0], llh[:, 1])
+    cov = C.transpose(0, 2, 1) @ rdss_covariances(pos_e, sats, noise) @ C
     return Fixes(t_ns, available_ns, found, cov, source="BeiDou-1 RDSS, simulated")
 
 
