@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from starwise import cli_sim
+from starwise import cli_fuse, cli_sim
 from starwise.errors import StarwiseError
 from starwise.terminal import Json
 from starwise.terminal import Progress as _Progress
@@ -311,4 +311,5 @@ def warmup() -> None:
     _print(f"kernels compiled in {time.perf_counter() - began:.0f} s, kept in {cache_root()}")
 
 
+cli_fuse.register(app)
 cli_sim.register(app)

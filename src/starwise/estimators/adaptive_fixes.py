@@ -30,6 +30,8 @@ class Track:
         Of the fixes' errors from epoch to epoch, likewise; 0 where not estimated.
     fading : (n, receivers) float64
         Fading factors of the local filters; 1 for filters without.
+    used : (n, receivers) bool
+        Fixes that took part.
     nis : (n,) float64
         Of the combined fix against the prediction, chi-square with 3 dof; NaN where not computed.
     """
@@ -43,6 +45,7 @@ class Track:
     scale: F8
     correlation: F8
     fading: F8
+    used: NDArray[np.bool_]
     nis: F8
 
 
@@ -113,7 +116,7 @@ def literal_filter(z: F8, dt_s: float = 1.0, constants: LiteralFilter = LITERAL)
     return Track(
         x[:, :, 0], x[:, :, 1], x[:, :, 2],
         P[:, :, 0, 0, None] * eye, P[:, :, 1, 1, None] * eye,
-        nothing, np.ones(n), np.zeros(n), fading, nothing,
+        nothing, np.ones(n), np.zeros(n), fading, np.ones((n, K), dtype=np.bool_), nothing,
     )  # fmt: skip
 
 
@@ -149,5 +152,5 @@ def improved_filter(
     x = out.x
     return Track(
         x[:, :, 0], x[:, :, 1], x[:, :, 2], out.cov_pos, out.cov_vel,
-        out.cruise, out.scale, out.correlation, np.ones((n, K)), out.nis,
+        out.cruise, out.scale, out.correlation, np.ones((n, K)), out.used, out.nis,
     )  # fmt: skip

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starwise.kernels._jit import njit
+from starwise.kernels.imm_screen import combine, combine_kept, remember_refusals, screen
 from starwise.kernels.process import SINGER, VELOCITY, motion
 
 F8 = NDArray[np.float64]
@@ -33,6 +34,9 @@ I8 = NDArray[np.int64]
 
 
 DEAD_BAND = 2.0
+"""Correlation below this many of its standard deviations for white errors is taken as none."""
+SCALE_KNOWN = 60.0
+"""Degrees of freedom after which the scale of the noise is good to 20 %."""
 
 
 class Bank(NamedTuple):
@@ -49,6 +53,7 @@ class Bank(NamedTuple):
     scale_window: float  # epochs over which the noise scale is averaged; 0: the nominal noise is believed
     scale_prior: float  # weight of the nominal noise in it, epochs
     most_inflation: float  # limit of the factor on variances that makes up for correlated errors; 1: errors are white
+    gate: float  # chi-square threshold (3 dof) of a receiver against the others; inf: all are believed
 
 
 class BankOut(NamedTuple):
@@ -61,12 +66,13 @@ class BankOut(NamedTuple):
     scale: F8  # (n,) factor on the standard deviations of the fixes
     correlation: F8  # (n,) of the fixes' errors from epoch to epoch
     nis: F8  # (n,) of the fused fix against the prediction, mixture's moments; chi-square with 3 dof
-    used: NDArray[np.bool_]  # (n, receivers)
+    used: NDArray[np.bool_]  # (n, receivers) took part; False: no fix, or refused
 
 
 @njit
 def invert(A: F8, n: int, out: F8) -> float:
     """Inverse of the leading symmetric n x n block (n = 2 or 3) into ``out``; its determinant."""
+    det: float
     if n == 2:
         det = A[0, 0] * A[1, 1] - A[0, 1] * A[0, 1]
         out[0, 0], out[1, 1] = A[1, 1] / det, A[0, 0] / det
@@ -137,7 +143,8 @@ def fuse_axis(x: F8, P: F8, n: int, z: F8, r: F8, share: F8, work: F8) -> float:
     for i in range(n):
         for j in range(i + 1):
             P[i, j] = P[j, i] = 0.5 * (fused[i, j] + fused[j, i])
-    return -0.5 * math.log(det) - 0.5 * math.log(det_total) + 0.5 * (quadratic - distance)
+    log_likelihood: float = -0.5 * (math.log(det) + math.log(det_total) + distance - quadratic)
+    return log_likelihood
 
 
 @njit
@@ -254,40 +261,25 @@ def interact(bank: Bank, dt: float, x: F8, P: F8, w: F8, x1: F8, P1: F8, w1: F8)
                 x[m, a, i] = x1[m, a, i]
                 for j in range(3):
                     P[m, a, i, j] = P1[m, a, i, j]
+    total = 0.0
+    for h in range(H):
+        total += w[h]
+    for h in range(H):
+        w[h] /= total  # a new branch that found no place is lost
 
 
 @njit
-def combine(z: F8, r: F8, zc: F8, rc: F8, deviation: F8) -> tuple[float, float, int]:
-    """Inverse-variance combination of fixes z, r (receivers, 3) into zc, rc (3,); statistics of their differences.
-
-    ``deviation`` (receivers, 3) holds the normalised deviations from the combination of the epoch before (NaN: none),
-    and of this one on return.
-
-    Returns
-    -------
-    float, float, int
-        Sum of the squared deviations, sum of their products with those of the epoch before, degrees of freedom.
-    """
-    chi2, product, dof = 0.0, 0.0, 0
-    for a in range(3):
-        weight, total = 0.0, 0.0
-        count = 0
-        for k in range(len(z)):
-            if not math.isnan(z[k, a]):
-                weight += 1.0 / r[k, a]
-                total += z[k, a] / r[k, a]
-                count += 1
-        zc[a] = total / weight if count else math.nan
-        rc[a] = 1.0 / weight if count else math.nan
-        for k in range(len(z)):
-            d = (z[k, a] - zc[a]) / math.sqrt(r[k, a])  # NaN where there is no fix
-            if not math.isnan(d):
-                chi2 += d * d
-                if not math.isnan(deviation[k, a]):
-                    product += d * deviation[k, a]
-            deviation[k, a] = d
-        dof += max(count - 1, 0)
-    return chi2, product, dof
+def _begin(bank: Bank, zc: F8, rc: F8, scale2: float, x: F8, P: F8, w: F8) -> None:
+    """Every manoeuvre mode and one cruise branch, about the first combined fix."""
+    M = len(bank.tau_s)
+    for h in range(M + 1):
+        w[h] = 1.0 / (M + 1)
+        for a in range(3):
+            x[h, a, 0] = zc[a]
+            P[h, a, 0, 0] = scale2 * rc[a]
+            P[h, a, 1, 1] = bank.velocity_sigma0**2
+            if h < M:
+                P[h, a, 2, 2] = bank.sigma[h] ** 2
 
 
 @njit
@@ -315,30 +307,50 @@ def bank_run(bank: Bank, t: F8, z: F8, r: F8, share: F8, out: BankOut) -> None:
     F, G = np.zeros((M + 1, 3, 3)), np.zeros((M + 1, 3, 3))
     begun = False
     deviation = np.full((K, 3), math.nan)
+    keep, rate, expected, zs = np.zeros(K, dtype=np.bool_), np.zeros(K), np.zeros(3), np.zeros((K, 3))
     chi_sum, product_sum, dof_sum = 0.0, 0.0, 0.0
-    scale2, rho = 1.0, 0.0
+    scale2, bare2, rho = 1.0, 1.0, 0.0
     t_last, dt_last = 0.0, -1.0
     for e in range(n):
-        chi2, product, dof = combine(z[e], r[e], zc, rc, deviation)
+        for k in range(K):
+            keep[k] = not math.isnan(z[e, k, 0])
+        if bank.gate < math.inf:
+            for a in range(3):
+                expected[a] = math.nan
+                if begun:
+                    expected[a] = out.x[e - 1, a, 0] + out.x[e - 1, a, 1] * (t[e] - t_last)
+            # while the scale is being found out nothing is refused
+            if dof_sum > SCALE_KNOWN or bank.scale_window == 0.0:
+                screen(z[e], r[e], bare2, expected, bank.gate, keep)
+            remember_refusals(z[e], keep, rate)
+        for k in range(K):
+            # a receiver that is refused most of the time says nothing about the noise of the others
+            for a in range(3):
+                zs[k, a] = math.nan if rate[k] > 0.5 else z[e, k, a]
+        chi2, product, dof = combine(zs, r[e], zc, rc, deviation)
+        if bank.gate < math.inf:
+            # nor does one epoch decide: an outlier counts as five sigmas
+            chi2 = min(chi2, 25.0 * bare2 * max(dof, 1))
+            combine_kept(z[e], r[e], keep, zc, rc)
         if bank.scale_window > 0.0 and dof > 0:
             # the scale in use is of the epochs before and of this one; the nominal noise counts as a few epochs
-            keep = 1.0 - 1.0 / bank.scale_window
-            product_sum = keep * product_sum + product
-            chi_sum = keep * chi_sum + chi2
-            dof_sum = keep * dof_sum + dof
+            memory = 1.0 - 1.0 / bank.scale_window
+            product_sum = memory * product_sum + product
+            chi_sum = memory * chi_sum + chi2
+            dof_sum = memory * dof_sum + dof
             prior = bank.scale_prior * 3.0
-            scale2 = (chi_sum + prior) / (dof_sum + prior)
+            bare2 = (chi_sum + prior) / (dof_sum + prior)
             # of white errors the estimate is within 2 / sqrt(dof) of zero: no correlation is seen there
             rho = max(product_sum / max(chi_sum, 1e-300) - DEAD_BAND / math.sqrt(max(dof_sum, 1.0)), 0.0)
             rho = min(rho, 0.999) if dof_sum > 10.0 else 0.0
-        out.scale[e] = math.sqrt(scale2)
+        out.scale[e] = math.sqrt(bare2)
         out.correlation[e] = rho
         # a mean over many epochs of errors rho^k is as uncertain as one of white errors of this variance
-        scale2 *= min((1.0 + rho) / (1.0 - rho), bank.most_inflation)
+        scale2 = bare2 * min((1.0 + rho) / (1.0 - rho), bank.most_inflation)
         got = not math.isnan(zc[0])
         total = 0.0
         for k in range(K):
-            out.used[e, k] = not math.isnan(z[e, k, 0])
+            out.used[e, k] = keep[k]
             if out.used[e, k]:
                 total += share[k]
         for k in range(K):
@@ -346,14 +358,7 @@ def bank_run(bank: Bank, t: F8, z: F8, r: F8, share: F8, out: BankOut) -> None:
         if not begun:
             if got:
                 begun = True
-                for h in range(M + 1):
-                    w[h] = 1.0 / (M + 1)
-                    for a in range(3):
-                        x[h, a, 0] = zc[a]
-                        P[h, a, 0, 0] = scale2 * rc[a]
-                        P[h, a, 1, 1] = bank.velocity_sigma0**2
-                        if h < M:
-                            P[h, a, 2, 2] = bank.sigma[h] ** 2
+                _begin(bank, zc, rc, scale2, x, P, w)
                 t_last = t[e]
             else:
                 out.x[e] = math.nan
@@ -391,7 +396,7 @@ def bank_run(bank: Bank, t: F8, z: F8, r: F8, share: F8, out: BankOut) -> None:
                         log_w[h] = math.log(w[h])
                         for a in range(3):
                             for k in range(K):
-                                zk[k] = z[e, k, a]
+                                zk[k] = z[e, k, a] if keep[k] else math.nan
                                 rk[k] = scale2 * r[e, k, a]
                             log_w[h] += fuse_axis(x[h, a], P[h, a], 3 if h < M else 2, zk, rk, sk, work)
                         top = max(top, log_w[h])
@@ -401,20 +406,27 @@ def bank_run(bank: Bank, t: F8, z: F8, r: F8, share: F8, out: BankOut) -> None:
                     s += w[h]
                 for h in range(H):
                     w[h] /= s
-        total = 0.0
-        for h in range(M, H):
-            total += w[h]
-        out.cruise[e] = total
-        for a in range(3):
-            _mix(x[:, a], P[:, a], w, 3, x1[0, a], P1[0, a])
-        for a in range(3):
-            for b in range(3):
-                out.x[e, a, b] = x1[0, a, b]
-                if a == b:
-                    out.cov_pos[e, a, a], out.cov_vel[e, a, a] = P1[0, a, 0, 0], P1[0, a, 1, 1]
-                    continue
-                sp, sv = 0.0, 0.0
-                for h in range(H):
-                    sp += w[h] * (x[h, a, 0] - x1[0, a, 0]) * (x[h, b, 0] - x1[0, b, 0])
-                    sv += w[h] * (x[h, a, 1] - x1[0, a, 1]) * (x[h, b, 1] - x1[0, b, 1])
-                out.cov_pos[e, a, b], out.cov_vel[e, a, b] = sp, sv
+        _report(x, P, w, M, e, x1, P1, out)
+
+
+@njit
+def _report(x: F8, P: F8, w: F8, M: int, e: int, x1: F8, P1: F8, out: BankOut) -> None:
+    """Moments of the mixture into the results of epoch e."""
+    H = len(w)
+    total = 0.0
+    for h in range(M, H):
+        total += w[h]
+    out.cruise[e] = total
+    for a in range(3):
+        _mix(x[:, a], P[:, a], w, 3, x1[0, a], P1[0, a])
+    for a in range(3):
+        for b in range(3):
+            out.x[e, a, b] = x1[0, a, b]
+            if a == b:
+                out.cov_pos[e, a, a], out.cov_vel[e, a, a] = P1[0, a, 0, 0], P1[0, a, 1, 1]
+                continue
+            sp, sv = 0.0, 0.0
+            for h in range(H):
+                sp += w[h] * (x[h, a, 0] - x1[0, a, 0]) * (x[h, b, 0] - x1[0, b, 0])
+                sv += w[h] * (x[h, a, 1] - x1[0, a, 1]) * (x[h, b, 1] - x1[0, b, 1])
+            out.cov_pos[e, a, b], out.cov_vel[e, a, b] = sp, sv

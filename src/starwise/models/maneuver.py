@@ -141,6 +141,8 @@ class Maneuvers:
         Epochs over which the noise of the fixes is scaled from the differences of the receivers; 0: never.
     most_inflation : float
         Limit of the factor on variances that makes up for errors correlated in time; 1: taken as white.
+    gate : float
+        Chi-square threshold (3 dof) by which a receiver must not contradict the others; infinite: all are believed.
     """
 
     cruise_psd: float = 1e-5
@@ -153,6 +155,7 @@ class Maneuvers:
     velocity_sigma0: float = 300.0
     scale_window: float = 100.0
     most_inflation: float = 20.0
+    gate: float = np.inf
 
     def __post_init__(self) -> None:
         if not self.tau_s or len(self.tau_s) != len(self.sigma_mps2) or self.branches < 1:
@@ -172,6 +175,7 @@ class Maneuvers:
             scale_window=self.scale_window,
             scale_prior=5.0,
             most_inflation=self.most_inflation,
+            gate=self.gate,
         )
 
 

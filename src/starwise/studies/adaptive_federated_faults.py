@@ -18,7 +18,7 @@ from starwise.frames import ecef_from_geodetic, rotations_ne_enu
 from starwise.gnsstime import parse_time
 from starwise.kernels.federated import LOCAL_OUT, FederatedOut, Locals, Measured, Options, federated_run
 from starwise.models.process import CLOCKS, Motion, matrices
-from starwise.sim.sections import Sky
+from starwise.sim.sections import Constellation, Sky
 from starwise.sim.seeds import streams
 from starwise.sim.sky import build_sky
 from starwise.types import F8, I8
@@ -26,6 +26,7 @@ from starwise.types import F8, I8
 NAMES: Final = ("GPS", "GLONASS", "Galileo", "BeiDou")
 SIGMA_M: Final = (1.5, 3.0, 1.0, 1.5)
 """Code noise by constellation, m."""
+CONSTELLATIONS: Final[tuple[Constellation, ...]] = ("gps", "glonass", "galileo", "beidou3")
 MASK_DEG: Final = 10.0
 EPOCHS: Final = 600
 RAMP_MPS: Final = 50.0 / 60.0
@@ -62,7 +63,7 @@ def scene() -> Scene:
     C = rotations_ne_enu(np.radians([32.0]), np.radians([118.0]))[0]
     blocks: list[F8] = []
     which: list[int] = []
-    for k, name in enumerate(("gps", "glonass", "galileo", "beidou3")):
+    for k, name in enumerate(CONSTELLATIONS):
         sky = build_sky(Sky(constellations=(name,)), t0 - NS, int(t_ns[-1]) + NS, streams(2009, 0))
         m = len(sky.sv)
         states = sky.states(np.repeat(t_ns, m), np.tile(sky.sv, EPOCHS)).reshape(EPOCHS, m, -1)[:, :, :3]

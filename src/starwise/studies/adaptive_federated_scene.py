@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from starwise.constants import NS
 from starwise.estimators.fuse_plane import Plane, unroll
 from starwise.gnsstime import parse_time
-from starwise.sim.sections import Sky, Vehicle
+from starwise.sim.sections import Constellation, Sky, Vehicle
 from starwise.sim.seeds import streams
 from starwise.sim.segments import Climb, Straight, Turn
 from starwise.sim.sky import build_sky
@@ -26,7 +26,7 @@ from starwise.sim.trajectory import from_segments
 from starwise.types import F8
 
 RECEIVERS: Final = ("GPS", "GLONASS", "Galileo")
-CONSTELLATIONS: Final = ("gps", "glonass", "galileo")
+CONSTELLATIONS: Final[tuple[Constellation, ...]] = ("gps", "glonass", "galileo")
 SIGMA_M: Final = (10.0, 23.0, 5.0)
 """Position error of each receiver per axis, m."""
 WHITE_M: Final = (1e-3, 5e-3, 1e-4)
