@@ -37,7 +37,7 @@ GATE = 1e-4
 """Chance that an aiding measurement whose errors are as modelled loses weight."""
 PATIENCE = 12
 """Fixes in a row outside the gate after which the filter doubts itself: 3 s at 4 Hz."""
-REST_SIGMA = 0.02
+REST_SIGMA = 0.04
 """Velocity of a body at rest on its springs, m/s."""
 REST_RATE_SIGMA = math.radians(0.1)
 """Its mean rate over half a second, vibration folded down included, rad/s."""

@@ -100,7 +100,7 @@ def roll_pitch_yaw(C: F8) -> F8:
 
 def mount_rotation(pitch: float, yaw: float) -> F8:
     """C_vb (3, 3): body axes to those of the vehicle."""
-    return rotation(2, yaw) @ rotation(1, pitch)
+    return rotation(1, pitch) @ rotation(2, yaw)
 
 
 def level(force: F8, wanted: F8) -> tuple[float, float]:

@@ -11,8 +11,9 @@ its caller. l is the antenna's lever arm in body axes, C = C_nb, phi the attitud
     odometer    forward component of the velocity of the axle, times 1 + its scale error
     barometer   h + its error
 
-C_vb = R_z(yaw) R_y(pitch) turns body axes into those of the vehicle (forward, right, down): pitch and yaw are the
-attitude of the sensor in the vehicle. Groves (2013) 14.3, 15.3; sideslip and squat grow with lateral and longitudinal
+C_vb = R_y(pitch) R_z(yaw) turns body axes into those of the vehicle (forward, right, down): the sensor is turned to the
+right by yaw, then its nose and the vehicle's floor up by pitch. Roll does not show: turning about it, the vehicle still goes
+straight ahead. Groves (2013) 14.3, 15.3; sideslip and squat grow with lateral and longitudinal
 acceleration: Rajamani (2012) "Vehicle dynamics and control" 2.3, 4.
 """
 
@@ -124,9 +125,9 @@ def axle_rows(nav: F8, est: F8, n: int, at: At, C: F8, omega: F8, force: F8, J: 
         axle = est[at.axle]
     sp, cp, sy, cy = math.sin(pitch), math.cos(pitch), math.sin(yaw), math.cos(yaw)
     B = np.empty((3, 3))  # C_vb
-    B[0, 0], B[0, 1], B[0, 2] = cy * cp, -sy, cy * sp
-    B[1, 0], B[1, 1], B[1, 2] = sy * cp, cy, sy * sp
-    B[2, 0], B[2, 1], B[2, 2] = -sp, 0.0, cp
+    B[0, 0], B[0, 1], B[0, 2] = cp * cy, -cp * sy, sp
+    B[1, 0], B[1, 1], B[1, 2] = sy, cy, 0.0
+    B[2, 0], B[2, 1], B[2, 2] = -sp * cy, sp * sy, cp
     b, o = np.empty(3), np.empty(3)  # velocity in body axes, rate in vehicle axes
     for k in range(3):
         b[k] = C[0, k] * nav[4] + C[1, k] * nav[5] + C[2, k] * nav[6]
@@ -150,15 +151,14 @@ def axle_rows(nav: F8, est: F8, n: int, at: At, C: F8, omega: F8, force: F8, J: 
     if at.axle >= 0:
         J[1, at.axle], J[2, at.axle] = o[2], -o[1]
     if at.mount >= 0:
-        # d/d pitch = C_vb [e_y x], d/d yaw = [e_z x] C_vb, of the velocity and of the rate
+        # d/d pitch = [e_y x] C_vb, d/d yaw = C_vb [e_z x], of the velocity and of the rate
         p = np.empty(3)
         for k in range(3):
-            J[k, at.mount] = B[k, 0] * b[2] - B[k, 2] * b[0]
-            p[k] = B[k, 0] * omega[2] - B[k, 2] * omega[0]
-        J[0, at.mount + 1], J[1, at.mount + 1], J[2, at.mount + 1] = -u[1], u[0], 0.0
-        J[1, at.mount] += axle * p[2]
-        J[2, at.mount] -= axle * p[1]
-        J[2, at.mount + 1] -= axle * o[0]
+            J[k, at.mount + 1] = B[k, 1] * b[0] - B[k, 0] * b[1]
+            p[k] = B[k, 1] * omega[0] - B[k, 0] * omega[1]
+        J[0, at.mount], J[1, at.mount], J[2, at.mount] = u[2], -axle * o[0], -u[0]
+        J[1, at.mount + 1] += axle * p[2]
+        J[2, at.mount + 1] -= axle * p[1]
     u[1] += axle * o[2]
     u[2] -= axle * o[1]
 
