@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from starwise import cli_fuse, cli_sim
+from starwise import cli_calibrate, cli_fuse, cli_sim
 from starwise.errors import StarwiseError
 from starwise.terminal import Json
 from starwise.terminal import Progress as _Progress
@@ -313,3 +313,4 @@ def warmup() -> None:
 
 cli_fuse.register(app)
 cli_sim.register(app)
+cli_calibrate.register(app)

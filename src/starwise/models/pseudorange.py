@@ -1,13 +1,14 @@
 """Observations and an ephemeris made into rows that least squares and filters take."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from starwise.config import RunConfig
+from starwise.config_errors import ErrorParameters
 from starwise.constants import (
     C_LIGHT,
     N_SYSTEMS,
@@ -181,6 +182,21 @@ def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel
         s, states, delay, row_status, rows, Epochs(s.t_ns, s.offsets), options, clock_names, errors, extra,
         bias_names, tuple(notes),
     )  # fmt: skip
+
+
+def with_parameters(prepared: Prepared, p: ErrorParameters) -> Prepared:
+    """The same run with other parameters of the coloured error model (which it must have); outputs fresh."""
+    s, rows = prepared.sightings, prepared.error_rows
+    steps = np.diff(s.t_ns)
+    interval_s = float(np.median(steps)) * 1e-9 if len(steps) else 1.0
+    extra = rows._replace(
+        slow_m=slow_sigma(p, s.sv, prepared.rows.sigma_sat_m, EPHEMERIS_SIGMA_M[s.sv >> 8]),
+        v2=np.full(len(s.sv), np.nan),
+        s2=np.full(len(s.sv), np.nan),
+        used=np.zeros(len(s.sv), dtype=np.uint8),
+    )
+    errors = error_model(p, prepared.errors.dual, prepared.errors.n_bias, interval_s)
+    return replace(prepared, errors=errors, error_rows=extra)
 
 
 def _colored(
