@@ -36,6 +36,9 @@ class FuseConfig(Checked):
     """Fixes whose tags differ by less are one epoch's."""
     false_alarm: float = 1e-6
     """Chance that a good fix is refused for contradicting the others; 0: all are believed."""
+    lasting: float = 0.5
+    """Part of the claimed sigma that is common to all receivers and lasts (atmosphere, orbits): it neither averages nor
+    shows in their differences, and is added to the covariance of the filter; 0: errors are the receivers' own."""
     scale: bool = True
     """Scale the claimed noise, and find its correlation in time, from the differences of the receivers."""
 
@@ -43,6 +46,8 @@ class FuseConfig(Checked):
         super().__post_init__()
         if not Range(0.0, 1.0).holds(self.tolerance_s):
             raise StarwiseError("'tolerance_s' is outside its limits", found=str(self.tolerance_s), wanted="0 to 1")
+        if not Range(0.0, 1.0).holds(self.lasting):
+            raise StarwiseError("'lasting' is outside its limits", found=str(self.lasting), wanted="0 to 1")
         if not Range(0.0, 0.1).holds(self.false_alarm):
             raise StarwiseError("'false_alarm' is outside its limits", found=str(self.false_alarm), wanted="0 to 0.1")
 
@@ -127,6 +132,8 @@ def fuse_fixes(receivers: Sequence[Receiver], config: FuseConfig | None = None) 
         notes: dict[str, Any] = {}
     else:
         s, cov, vel, cov_vel, used, nis, notes = _adaptive(t_s, z, r, options)
+        common = least_squares(np.where(used[:, :, None], z, np.nan), r)[1]
+        cov = cov + options.lasting**2 * common[:, :, None] * np.eye(3)
     lost = (there & ~used).any(axis=1)
     status = np.where(lost & (used.sum(axis=1) < 2), EPOCH_SUSPECT, EPOCH_OK)
     n, none = len(t_s), np.full((len(t_s), 0), np.nan)
@@ -199,8 +206,8 @@ def _cleaned(receiver: Receiver, options: FuseConfig) -> tuple[I8, F8, F8]:
         raise StarwiseError("no position fix", file=receiver.name)
     t, first = np.unique(receiver.t_ns[finite], return_index=True)
     pos, cov = receiver.pos_e[finite][first], receiver.cov_e[finite][first].copy()
-    bad = ~np.isfinite(cov).all(axis=(1, 2))
-    bad |= np.einsum("nii->ni", np.where(bad[:, None, None], 1.0, cov)).min(axis=1) <= 0.0
+    good = np.isfinite(cov).all(axis=(1, 2)) & (np.nan_to_num(np.einsum("nii->ni", cov)) > 0.0).all(axis=1)
+    bad = np.asarray(~good)
     if bad.any():
         llh = geodetic_from_ecef(pos[bad])
         C = rotations_ne_enu(llh[:, 0], llh[:, 1])
