@@ -91,7 +91,7 @@ def _solve(inputs: Inputs, config: RunConfig, say: Progress, records: "Future[li
     provenance: dict[str, Any] = {
         "starwise": __version__,
         "config": config.to_dict(),
-        "effective": _effective(config),
+        "effective": _effective(config.with_options({"dynamics": solution.provenance["dynamics"]["used"]})),
         "inputs": records.result(),
         "station": _station(obs),
         "problems": [_problem(p) for p in (*obs.problems, *problems)],

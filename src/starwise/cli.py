@@ -79,7 +79,10 @@ def solve(
     mask: Annotated[float | None, typer.Option(metavar="DEG", help="Elevation mask; default 10.")] = None,
     dynamics: Annotated[
         str | None,
-        typer.Option(metavar="static|pedestrian|vehicle|aircraft", help="How the user moves; default vehicle."),
+        typer.Option(
+            metavar="static|pedestrian|vehicle|aircraft",
+            help="How the user moves; default auto: static where the observations show rest throughout, else vehicle.",
+        ),
     ] = None,
     ephemeris: Annotated[Path | None, typer.Option(metavar="SP3", help="Precise orbits.")] = None,
     clock: Annotated[Path | None, typer.Option(metavar="CLK", help="Precise clocks, with --ephemeris.")] = None,

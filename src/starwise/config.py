@@ -65,8 +65,9 @@ class RunConfig(Checked):
     """Least squares per epoch, EKF (all satellites at once), or EKF satellite by satellite."""
     systems: str = "GRECJ"
     """Satellite systems to position with, letters as in RINEX."""
-    dynamics: Literal["static", "pedestrian", "vehicle", "aircraft"] = "vehicle"
-    """Preset of the process model; sets what `process` leaves open."""
+    dynamics: Literal["auto", "static", "pedestrian", "vehicle", "aircraft"] = "auto"
+    """Preset of the process model; sets what `process` leaves open. auto: static where the observations show rest
+    throughout, else vehicle."""
     mask_deg: Annotated[float, Range(-5.0, 90.0)] = 10.0
     """Elevation mask, degrees."""
     cn0_min_dbhz: Annotated[float, Range(0.0, 99.0)] = 0.0

@@ -144,9 +144,12 @@ class Observations:
                 raise StarwiseError("interval too short", found=f"{interval_s} s", wanted="at least 0.01 s")
             # Distance to the nearest multiple, within 5 ms either way: tags drift, and steps need not be round.
             keep &= (self.t_ns + tick // 2) % step < tick
-        return self if keep.all() else self._epochs(keep)
+        return self.taken(keep)
 
-    def _epochs(self, keep: NDArray[np.bool_]) -> "Observations":
+    def taken(self, keep: NDArray[np.bool_]) -> "Observations":
+        """Observations with the epochs that ``keep`` (n_epochs,) marks."""
+        if keep.all():
+            return self
         rows = np.repeat(keep, np.diff(self.offsets))
         counts = np.diff(self.offsets)[keep]
         return Observations(

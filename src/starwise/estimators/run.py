@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from starwise.config import RunConfig
 from starwise.constants import C_LIGHT, ROW_COMBINED, ROW_GATED, ROW_USED
+from starwise.estimators.dynamics import settle_dynamics
 from starwise.estimators.least_squares import least_squares
 from starwise.kernels.rangemodel import RowModel
 from starwise.kernels.spp import EpochOut
@@ -49,6 +50,7 @@ def solve_run(
     say = progress or (lambda _what, _fraction: None)
     obs = obs.between(config.start_ns, config.end_ns, config.interval_s)
     say("satellites", 0.0)
+    config, dynamics = settle_dynamics(obs, ephemeris, ionosphere, config)
     prepared = prepare(obs, ephemeris, ionosphere, config)
     say(config.method, 0.3)
     ep, out = _estimate(prepared, config)
@@ -69,7 +71,7 @@ def solve_run(
         nis=ep.nis,
         dof=ep.dof,
         ledger=make_ledger(obs, prepared, out),
-        provenance={"notes": [*prepared.notes, *_filter_notes(ep, config)]},
+        provenance={"dynamics": dynamics, "notes": [*prepared.notes, *_filter_notes(ep, config)]},
     )
     say("done", 1.0)
     return solution

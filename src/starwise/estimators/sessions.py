@@ -3,12 +3,14 @@
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from starwise.config import RunConfig
 from starwise.errors import StarwiseError
+from starwise.estimators.dynamics import settle_dynamics
 from starwise.estimators.run import solve_run
 from starwise.gnsstime import session_numbers
 from starwise.types import Ephemeris, IonosphereModel, Observations, Solution
@@ -35,6 +37,7 @@ def solve_sessions(
     obs = obs.between(config.start_ns, config.end_ns, config.interval_s)
     config = config.with_options({"start": None, "end": None, "interval_s": None})
     say = progress or (lambda _what, _fraction: None)
+    config, dynamics = settle_dynamics(obs, ephemeris, ionosphere, config)  # of the whole run: sessions are no motion
     number = session_numbers(obs.t_ns, length)
     parts: list[Solution] = []
     failed: list[StarwiseError] = []
@@ -52,7 +55,9 @@ def solve_sessions(
     notes = [f"{len(parts)} sessions of {length:g} s, each started anew"]
     notes += [f"{len(failed)} sessions left out: {failed[0].message}"] if failed else []
     whole = joined(parts)
-    return replace(whole, provenance={**whole.provenance, "notes": [*whole.provenance["notes"], *notes]})
+    return replace(
+        whole, provenance={**whole.provenance, "dynamics": dynamics, "notes": [*whole.provenance["notes"], *notes]}
+    )
 
 
 def joined(parts: list[Solution]) -> Solution:
@@ -64,7 +69,7 @@ def joined(parts: list[Solution]) -> Solution:
         out[:, [names.index(name) for name in part.clock_names]] = values
         return out
 
-    whole = {
+    whole: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts])
         for name in ("t_ns", "status", "pos_e", "vel_e", "cov_pos", "cov_vel", "n_used", "dop", "nis", "dof")
     }
@@ -75,6 +80,7 @@ def joined(parts: list[Solution]) -> Solution:
         drift_mps=np.concatenate([clocks(part, part.drift_mps) for part in parts]),
         clock_sigma_m=np.concatenate([clocks(part, part.clock_sigma_m) for part in parts]),
         clock_names=names,
+        extra={key: np.concatenate([part.extra[key] for part in parts]) for key in parts[0].extra},
         ledger={key: np.concatenate([part.ledger[key] for part in parts]) for key in parts[0].ledger},
         provenance={**parts[0].provenance, "notes": _notes(parts)},
     )

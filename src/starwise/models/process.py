@@ -124,6 +124,8 @@ PRESETS: Final[dict[str, Motion]] = {
     # Aircraft: turns up to 3 g (30 m/s^2, 3 sigma) that last some 10 s, in any direction.
     "aircraft": Motion("singer", 10.0**2, 10.0**2, 10.0, velocity_sigma0=300.0, acceleration_sigma0=10.0),
 }
+MOVING: Final = "vehicle"
+"""Preset for a user of whom only that it may move is known; that of ``auto`` until somebody has looked."""
 
 
 def motion_from(config: RunConfig) -> Motion:
@@ -134,7 +136,7 @@ def motion_from(config: RunConfig) -> Motion:
     StarwiseError
         `process` has a number that the model has no use for.
     """
-    m = PRESETS[config.dynamics]
+    m = PRESETS[MOVING if config.dynamics == "auto" else config.dynamics]
     if m.model == "static" and config.error_model == "colored":
         m = replace(m, horizontal=RESTING_PSD, vertical=RESTING_PSD)
     p = config.process

@@ -33,7 +33,9 @@ def solve_text(provenance: Mapping[str, Any], directory: str | Path, elapsed_s: 
     """Screen after ``starwise solve``: what was read, used, refused and found, and where it is."""
     config, summary = provenance["config"], provenance["summary"]
     lines = [*_read_lines(provenance), ""]
-    lines += _field("method", f"{config['method']}, {config['dynamics']} dynamics, mask {config['mask_deg']:g} deg")
+    lines += _field("method", f"{config['method']}, mask {config['mask_deg']:g} deg")
+    if config["method"] != "lsq":
+        lines += _field("dynamics", _dynamics(provenance["dynamics"]))
     lines += _field("ephemeris", _ephemeris(provenance))
     lines += _system_lines(summary)
     lines += _refused_lines(summary)
@@ -42,6 +44,12 @@ def solve_text(provenance: Mapping[str, Any], directory: str | Path, elapsed_s: 
     lines += ["", *_field("results", f"{directory}/  solution.parquet ledger.parquet solution.pos run.json")]
     lines += _field("time", f"{elapsed_s:.2f} s")
     return "\n".join(lines)
+
+
+def _dynamics(record: Mapping[str, Any]) -> str:
+    if not record["detected"]:
+        return str(record["used"])
+    return f"{record['used']} (detected: {record['reason']}; --dynamics overrides)"
 
 
 def _ephemeris(provenance: Mapping[str, Any]) -> str:
