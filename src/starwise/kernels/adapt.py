@@ -26,6 +26,9 @@ HUBER          r / w with w = 1 for |v| / s <= c, else c s / |v|
 IGG3           w = 1 for u = |v| / s <= c, c / u ((c1 - u) / (c1 - c))^2 up to c1, beyond it the row is rejected
                (Yang, Song, Xu 2002, J. Geodesy 76, "Robust estimator for correlated observations ...")
 
+HUBER and IGG3 stop weighting while more than a fifth of the rows is far off for a third epoch running: it is then the
+prediction that is wrong, and a filter that refuses its measurements never learns so.
+
 All factors are kept within `least` and `most`.
 """
 
@@ -43,6 +46,9 @@ NONE, PAPER, STRONG, IAE_R, IAE_Q, SAGE_HUSA, HUBER, IGG3 = range(8)
 ON_R, ON_Q = 0, 1
 REJECTED = 1e12
 """Factor of the variance of a row that is as good as left out."""
+FAR_SHARE = 0.2
+FAR_EPOCHS = 3
+FAR_SIGMAS = 3.0
 
 
 class Rule(NamedTuple):
@@ -142,10 +148,16 @@ def adapt(rule: Rule, memory: F8, v: F8, p: F8, q: F8, r: F8, beta: float, r_out
         else:
             q_factor = value
     elif rule.kind == HUBER or rule.kind == IGG3:
+        far = 0
         for i in range(len(v)):
-            if not math.isnan(v[i]):
-                u = abs(v[i]) / math.sqrt(p[i] + q[i] + r[i])
-                r_out[i] = r[i] / max(robust_weight(rule, u), 1.0 / REJECTED)
+            if not math.isnan(v[i]) and v[i] * v[i] > FAR_SIGMAS**2 * (p[i] + q[i] + r[i]):
+                far += 1
+        memory[2] = memory[2] + 1.0 if far > FAR_SHARE * m else 0.0
+        if memory[2] < FAR_EPOCHS:
+            for i in range(len(v)):
+                if not math.isnan(v[i]):
+                    u = abs(v[i]) / math.sqrt(p[i] + q[i] + r[i])
+                    r_out[i] = r[i] / max(robust_weight(rule, u), 1.0 / REJECTED)
     if r_factor != 1.0:
         for i in range(len(v)):
             r_out[i] *= r_factor

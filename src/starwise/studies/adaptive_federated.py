@@ -11,6 +11,7 @@ from starwise._version import __version__
 from starwise.constants import NS
 from starwise.errors import StarwiseError
 from starwise.studies.adaptive_federated_faults import fault_isolation
+from starwise.studies.adaptive_federated_rules import compare_rules
 from starwise.studies.adaptive_federated_runs import (
     DIVERGED_M,
     FILTERS,
@@ -67,7 +68,7 @@ def reproduce_adaptive_federated(
     -------
     dict
         ``table1`` (white errors of the stated sizes: a record per filter and axis), ``height`` (the same, third
-        axis), ``ratios``, ``checks``, ``constellations``, ``scales``, ``taus``, ``experiments``, ``faults``,
+        axis), ``ratios``, ``checks``, ``constellations``, ``scales``, ``taus``, ``experiments``, ``rules``, ``faults``,
         ``paper``, ``settings``.
 
     Raises
@@ -88,6 +89,8 @@ def reproduce_adaptive_federated(
     )  # fmt: skip
     say("weak points", 0.7)
     weak = experiments(chosen, min(runs, EXPERIMENT_RUNS))
+    say("adaptation rules", 0.75)
+    rules = compare_rules(chosen, min(runs, EXPERIMENT_RUNS))
     say("fault isolation", 0.8)
     faults = fault_isolation(chosen, min(runs, 16), lambda f: say("fault isolation", 0.8 + 0.15 * f))
     whole = summary(table, "white")
@@ -99,6 +102,7 @@ def reproduce_adaptive_federated(
         "scales": [{"scale": scale, **ratios(table, f"scale {scale:g}")} for scale in SCALES],
         "taus": [{"tau_s": tau, "variant": v, **ratios(table, f"tau {tau:g}", v)} for tau in TAUS_S for v in VARIANTS],
         "experiments": weak,
+        "rules": rules,
         "faults": faults,
         "paper": {"table1": paper_table()},
         "settings": {

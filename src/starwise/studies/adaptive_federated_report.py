@@ -122,6 +122,12 @@ def report_text(result: Result, figures: Sequence[str] = ()) -> str:
             ],
         ),
         "",
+        "## Adaptation rules in filters that believe the wrong thing",
+        "",
+        "RMS over least squares, steady and in manoeuvres; NEES per axis, steady and in manoeuvres.",
+        "",
+        *_rules(result["rules"]),
+        "",
         "## Fault isolation, one local filter per constellation",
         "",
         *_faults(result["faults"]),
@@ -175,6 +181,24 @@ def _table1(rows: Sequence[Result]) -> list[str]:
         for r in rows
     ]  # fmt: skip
     return _table(head, body)
+
+
+def _rules(rows: Sequence[Result]) -> list[str]:
+    cases = list(dict.fromkeys(r["case"] for r in rows))
+    cells = {(r["rule"], r["case"]): r for r in rows}
+    body = []
+    for rule in dict.fromkeys(r["rule"] for r in rows):
+        mine = [cells[rule, case] for case in cases]
+        body.append(
+            (
+                rule,
+                *(
+                    f"{c['steady']:.2f}, {c['maneuver']:.3g}; {c['nees_steady']:.2g}, {c['nees_maneuver']:.2g}"
+                    for c in mine
+                ),
+            )
+        )
+    return _table(("rule", *cases), body)
 
 
 def _faults(faults: Result) -> list[str]:
