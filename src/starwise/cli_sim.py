@@ -12,7 +12,7 @@ from starwise.terminal import Json, Progress, show, show_json
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Directory for the results.")]
 Runs = Annotated[int, typer.Option("--runs", metavar="N", min=1, help="Monte Carlo runs; they are resumed.")]
 Seed = Annotated[int | None, typer.Option("--seed", metavar="S", help="In place of the scenario's.")]
-PAPERS = ("s3ekf", "adaptive_federated")
+PAPERS = ("s3ekf", "rdss_sins", "adaptive_federated")
 Workers = Annotated[int | None, typer.Option("--workers", metavar="N", min=1, help="Processes; default: all cores.")]
 
 
@@ -70,7 +70,7 @@ def _simulate_text(record: dict[str, Any], output: Path, seconds: float) -> str:
 
 
 def reproduce(
-    paper: Annotated[str, typer.Argument(metavar="PAPER", help="One of: s3ekf, adaptive_federated.")],
+    paper: Annotated[str, typer.Argument(metavar="PAPER", help="One of: s3ekf, rdss_sins, adaptive_federated.")],
     output: Output = Path("starwise-reproduce"),
     runs: Runs = 100,
     seed: Seed = None,
@@ -86,6 +86,9 @@ def reproduce(
         raise StarwiseError("no such paper", found=paper, wanted=" | ".join(PAPERS))
     if data is not None and not data.is_dir():
         raise StarwiseError("no such folder", file=data)
+    if paper == "rdss_sins":
+        _rdss_sins(output, runs, seed, workers, as_json)
+        return
     if paper == "adaptive_federated":
         _adaptive_federated(output, runs, seed, workers, as_json)
         return
@@ -108,6 +111,19 @@ def _adaptive_federated(output: Path, runs: int, seed: int | None, workers: int 
 
     with Progress(as_json) as progress:
         result = reproduce_adaptive_federated(output, runs, seed, workers, progress)
+    if as_json:
+        show_json(result)
+    else:
+        show(short_text(result) + f"\nThe whole report: {output / 'report.md'}")
+
+
+def _rdss_sins(output: Path, runs: int, seed: int | None, workers: int | None, as_json: bool) -> None:
+    """Optimal prediction of late fixes (Lin, Meng, He)."""
+    from starwise.studies.rdss_sins import reproduce_rdss_sins
+    from starwise.studies.rdss_sins_report import short_text
+
+    with Progress(as_json) as progress:
+        result = reproduce_rdss_sins(output, runs, seed, workers, progress)
     if as_json:
         show_json(result)
     else:

@@ -14,7 +14,8 @@ from starwise.constants import NS
 from starwise.estimators.late import METHODS
 from starwise.frames import C_ne_ned, geodetic_from_ecef
 from starwise.gnsstime import from_week_tow
-from starwise.kernels.rdss_sins import FREE, SinsFixes, SinsModel, SinsOut, sins_run
+from starwise.kernels.rdss_sins import FREE, SinsFixes, SinsOut, sins_run
+from starwise.kernels.sins15 import SinsModel
 from starwise.physics.earth import curvature_radii
 from starwise.physics.rdss import RdssNoise, geostationary, rdss_covariances, round_trips, solve_rdss
 from starwise.sim.imu import DPH, DPRH, UG, perfect_imu
@@ -182,18 +183,24 @@ class Scene:
         dv = self.perfect.accel + _sensor(n, 0.0, e.accel_markov, e.tau_s, e.accel_white, rng, "accel")
         return Measured(dtheta, dv, self._start(rng), self._fixes(rng))
 
-    def _start(self, rng: Streams) -> F8:
-        """Navigation state (10,) with errors."""
+    def nav0(self, phi: F8 | None = None, d_vel: F8 | None = None, d_pos: F8 | None = None) -> F8:
+        """Navigation state (10,) at the start: true, or off by a rotation vector, m/s and m (north, east)."""
         from scipy.spatial.transform import Rotation
 
-        e, draw = self.experiment.errors, rng("start").standard_normal(7)
-        phi = e.attitude_rad * draw[:3]
-        q = Rotation.from_matrix((Rotation.from_rotvec(-phi)).as_matrix() @ self.C_nb0).as_quat(scalar_first=True)
+        C_nb = self.C_nb0 if phi is None else Rotation.from_rotvec(-phi).as_matrix() @ self.C_nb0
+        x, y, z, w = Rotation.from_matrix(C_nb).as_quat()
         lat, lon, h = self.llh[0]
         R_M, R_N = curvature_radii(lat)
-        north, east = e.position_m * draw[5:]
-        vel = self.vel_n[0] + np.array([*(e.velocity_mps * draw[3:5]), 0.0])
-        return np.array([*q, *vel, lat + north / (R_M + h), lon + east / ((R_N + h) * np.cos(lat)), h])
+        vel = self.vel_n[0].copy()
+        if d_vel is not None:
+            vel[:2] += d_vel
+        if d_pos is not None:
+            lat, lon = lat + d_pos[0] / (R_M + h), lon + d_pos[1] / ((R_N + h) * np.cos(lat))
+        return np.array([w, x, y, z, *vel, lat, lon, h])
+
+    def _start(self, rng: Streams) -> F8:
+        e, draw = self.experiment.errors, rng("start").standard_normal(7)
+        return self.nav0(e.attitude_rad * draw[:3], e.velocity_mps * draw[3:5], e.position_m * draw[5:])
 
     def _fixes(self, rng: Streams) -> SinsFixes:
         x, asked = self.experiment, self.asked
@@ -286,6 +293,6 @@ EXPERIMENTS: Final = {
 }
 
 
-def variant(name: str, **changes: Any) -> Experiment:
-    """One of `EXPERIMENTS` with changes."""
-    return replace(EXPERIMENTS[name], **changes)
+def variant(**changes: Any) -> Experiment:
+    """The dynamic experiment with changes."""
+    return replace(EXPERIMENTS["dynamic"], **changes)
