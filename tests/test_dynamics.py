@@ -116,6 +116,11 @@ def test_doubt_is_motion() -> None:
     assert detect_motion(*empty).moving
 
 
+def test_loud_codes_hide_no_rest_that_doppler_shows() -> None:
+    assert not look(sigma_p=10.0).moving
+    assert look(path(part(600, 0.45, 0.55)), sigma_p=10.0).moving
+
+
 def test_single_wild_velocities_do_not_move_a_receiver() -> None:
     assert not look(bad=0.02, sigma_v=0.01).moving
 

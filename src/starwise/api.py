@@ -297,13 +297,18 @@ def pool(
     made = []
     for i, item in enumerate(runs, 1):
         one, own = item if isinstance(item, tuple) else (item, truth)
-        name = f"run {i}" if isinstance(one, Solution) else str(one)
+        name = _run_name(one, i) if isinstance(one, Solution) else str(one)
         if own is None:
             raise StarwiseError("pooling needs the truth of every run", file=name, wanted="--truth, or DIR=TRUTH")
         solution, known, vertical = _judged(one, own, antenna_up_m, geoid_m)
         assert known is not None
         made.append(Run(name, solution, known, vertical))
     return pool_runs(made, session_s=session_s, tolerance_s=tolerance_s, interpolate=interpolate)
+
+
+def _run_name(solution: Solution, number: int) -> str:
+    marker = solution.provenance.get("station", {}).get("marker")
+    return f"run {number}" + (f" {marker}" if marker else "")
 
 
 def info(path: PathLike) -> dict[str, Any]:

@@ -7,7 +7,8 @@ receiver moves.
 Epochs are taken in blocks of five; a block has the medians of its positions and velocities, which one or two bad epochs
 do not move. The receiver rests if **every** block says so:
 
-* its position is that of all others, within what the claimed covariance allows (99 % of chi-square, 3 degrees);
+* its position is that of all others, within what the claimed covariance, and the noise seen from epoch to epoch where
+  that is more than claimed, allow (99 % of chi-square, 3 degrees);
 * its velocity by Doppler is below `SLOW_MPS`, or below five times the noise seen inside the blocks where that is more,
   but never above `SURELY_MOVING_MPS`; so is the slope of its positions, where that can tell;
 * the mean velocity of each tenth of the run is no crawl, and blocks differ from each other no more than their noise
@@ -51,6 +52,8 @@ SWAY_MPS: Final = 0.03
 """Spread of the blocks' velocities, per axis, beyond three times their noise."""
 SPREAD: Final = 11.345
 """99 % of chi-square with 3 degrees of freedom (scipy.stats.chi2.ppf(0.99, 3))."""
+_OF_MANY: Final = 25.9 / SPREAD
+"""Noise is new in every block, and the largest of a thousand must pass: 1e-5 of chi-square in place of 1e-2."""
 _MEDIAN_OF_5: Final = 1.25 / np.sqrt(5.0)
 """Standard deviation of the median of five, of one."""
 _MAD: Final = 1.4826
@@ -110,9 +113,11 @@ def detect_motion(t_ns: I8, pos_e: F8, cov_pos: F8, vel_e: F8, cov_vel: F8, trus
     turn = C_ne_enu(lat, lon)
     at = np.flatnonzero(trusted)
     blocks = at[: len(at) // BLOCK * BLOCK].reshape(-1, BLOCK)
-    spread = _spread((pos_e[blocks] - middle), cov_pos[blocks])
     rates = _by_doppler(vel_e[blocks] @ turn.T, turn @ cov_vel[blocks] @ turn.T)
     pos_n = (pos_e[at] - middle) @ turn.T
+    noise = _noise(pos_n)
+    seen = turn.T @ np.diag(_OF_MANY * (_MEDIAN_OF_5 * noise) ** 2) @ turn
+    spread = _spread((pos_e[blocks] - middle), cov_pos[blocks], seen)
     quick, slow = (_by_positions(t_ns[at], pos_n, span) for span in (0.0, SLOPE_SPAN_S))
     doppler = len(rates.speed) >= TRUSTED_SHARE * len(blocks)
     shown = rates if doppler else slow if len(slow.speed) else quick
@@ -135,17 +140,20 @@ def detect_motion(t_ns: I8, pos_e: F8, cov_pos: F8, vel_e: F8, cov_vel: F8, trus
     if not doppler:
         if len(slow.speed) < MIN_BLOCKS:
             return found(True, "too short to tell without Doppler")
-        loud = max(_noise(pos_n) * [1.0, 1.0, 0.5]) > QUIET_M
+        loud = max(noise * [1.0, 1.0, 0.5]) > QUIET_M
         why = slow.why_unknown() or quick.why_unknown() or ("too noisy" if loud else "")
         if why:
             return found(True, f"no Doppler, and positions: {why}")
     return found(False, "at rest by Doppler and positions" if doppler else "at rest by positions, without Doppler")
 
 
-def _spread(difference: F8, cov: F8) -> F8:
-    """Squared distance of each block's median position from the middle in units of the claimed covariance, (m,)."""
+def _spread(difference: F8, cov: F8, seen: F8) -> F8:
+    """Squared distance of each block's median position from the middle in units of its covariance, (m,).
+
+    What is claimed is meant for errors that last, in the main; noise of the block that is ``seen`` comes on top.
+    """
     d = np.median(difference, axis=1)
-    C = np.median(cov, axis=1)
+    C = np.median(cov, axis=1) + seen
     return np.asarray((d * np.linalg.solve(C, d[:, :, None])[:, :, 0]).sum(axis=1))
 
 
