@@ -1,6 +1,7 @@
 """Accuracy of every method on the shared static sets, beside Debian RTKLIB's single point positioning.
 
 python benchmarks/accuracy.py [--json] [--methods lsq,ekf,s3ekf] [--dynamics static] [--sp3] [--no-post]
+                              [--error-model white]
 
 RTKLIB takes the nearest broadcast record, also one from the future; so does starwise here, but for ``--no-post``.
 """
@@ -38,7 +39,9 @@ def summary(solution: Solution, truth: np.ndarray) -> dict[str, Any]:
     }
 
 
-def row(data: DataSet, methods: list[str], dynamics: str, sp3: bool, post: bool, folder: Path) -> dict[str, Any]:
+def row(
+    data: DataSet, methods: list[str], dynamics: str, model: str, sp3: bool, post: bool, folder: Path
+) -> dict[str, Any]:
     truth = truth_ecef(data.truth or "")
     _, pos, _ = rtklib_spp(data, folder, sp3)
     e = errors_enu(pos, truth)
@@ -46,7 +49,7 @@ def row(data: DataSet, methods: list[str], dynamics: str, sp3: bool, post: bool,
     result: dict[str, Any] = {"set": data.name, "rtklib": rtklib}
     solutions = {}
     for method in methods:
-        extra: dict[str, Any] = {"post": post}
+        extra: dict[str, Any] = {"post": post, "error_model": "white" if method == "lsq_same" else model}
         if sp3 and data.sp3:
             extra["ephemeris"] = DATA / data.sp3
             if data.clk:
@@ -69,6 +72,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--methods", default="lsq_same,lsq,ekf,s3ekf")
     parser.add_argument("--dynamics", default="static")
+    parser.add_argument("--error-model", default="colored", help="colored, or white")
     parser.add_argument("--sp3", action="store_true", help="precise orbits, on the sets that have them")
     parser.add_argument("--no-post", action="store_true", help="only ephemerides sent before the epoch, the default")
     parser.add_argument("--only", default="", help="sets whose name contains this")
@@ -80,7 +84,9 @@ def main() -> None:
     with scratch() as folder:
         for data in STATIC:
             if args.only in data.name and not (args.sp3 and data.sp3 is None):
-                rows.append(row(data, methods, args.dynamics, args.sp3, not args.no_post, Path(folder)))
+                rows.append(
+                    row(data, methods, args.dynamics, args.error_model, args.sp3, not args.no_post, Path(folder))
+                )
     if args.json:
         print(json.dumps(rows, indent=1))
         return

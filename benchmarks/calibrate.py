@@ -17,27 +17,28 @@ from datasets import DATA, STATIC, URBAN, DataSet, truth_ecef
 STATIONS = {"tlse": "TLSE", "kiru": "KIRU", "unsa": "UNSA", "delf": "DELF", "zegv": "ZEGV", "nagoya": "NAGOYA"}
 
 
-def entry(data: DataSet, station: str, truth: str, dynamics: str) -> str:
+def entry(data: DataSet, station: str, truth: str, dynamics: str, kinds: str) -> str:
     """A [[set]] table."""
     nav = ", ".join(f"'{DATA / name}'" for name in data.nav)
     return (
         f"[[set]]\nname = '{data.name}'\nstation = '{station}'\nobservations = '{DATA / data.obs}'\n"
         f"navigation = [{nav}]\nsystems = '{data.systems}'\ntruth = '{truth}'\ndynamics = [{dynamics}]\n"
+        f"combination = [{kinds}]\n"
     )
 
 
 def main() -> int:
     """Run ``starwise calibrate`` on all shared measurements with a truth."""
-    tables = []
+    tables, both = [], "'uncombined', 'single'"
     for data in STATIC:
         assert data.truth is not None
         where = ",".join(f"{v:.4f}" for v in truth_ecef(data.truth))
-        tables.append(entry(data, STATIONS[data.name.split("_")[0].split()[0]], where, "'static', 'vehicle'"))
+        tables.append(entry(data, STATIONS[data.name.split("_")[0].split()[0]], where, "'static', 'vehicle'", both))
     truth = DATA / "kinematic/urbannav_tst_20190428/groundTruth_TST.csv"
-    tables.append(entry(URBAN, "TST", str(truth), "'vehicle'"))
+    tables.append(entry(URBAN, "TST", str(truth), "'vehicle'", "'single'"))
     with tempfile.TemporaryDirectory(prefix="starwise-calibrate-") as folder:
         sets = Path(folder) / "sets.toml"
-        sets.write_text("every = 3\n" + "\n".join(tables))
+        sets.write_text("every = 4\n" + "\n".join(tables))
         return subprocess.call([sys.executable, "-m", "starwise", "calibrate", str(sets), *sys.argv[1:]])
 
 

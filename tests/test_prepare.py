@@ -106,7 +106,7 @@ def test_interval_is_a_distance_to_the_grid() -> None:
 
 
 def test_notes_reach_the_solution() -> None:
-    solution = starwise.solve(DATA / "demo_MO.rnx.gz", DATA / "demo_MN.rnx.gz", interval_s=60.0)
+    solution = starwise.solve(DATA / "demo_MO.rnx.gz", DATA / "demo_MN.rnx.gz", interval_s=60.0, error_model="white")
     assert any("white" in note for note in solution.provenance["notes"])
     lsq = starwise.solve(DATA / "demo_MO.rnx.gz", DATA / "demo_MN.rnx.gz", interval_s=60.0, method="lsq")
     assert not any("white" in note for note in lsq.provenance["notes"])

@@ -140,7 +140,7 @@ def test_predict_is_phi_p_phi_plus_q(model, clocks):
 
 def test_presets_are_complete_and_configuration_overrides_them():
     for name, preset in PRESETS.items():
-        assert motion_from(RunConfig(dynamics=name)) == preset
+        assert motion_from(RunConfig(dynamics=name, error_model="white")) == preset
     changed = motion_from(
         RunConfig(dynamics="vehicle", process={"acceleration_sigma_mps2": 2.0, "acceleration_tau_s": 9.0})
     )

@@ -242,7 +242,7 @@ def test_rtklib_positions_from_each_system(systems, tmp_path):
 
 def test_starwise_positions_from_the_files(files):
     obs, nav = read_obs(files[0]), read_nav(files[1])
-    config = RunConfig.from_dict({"method": "lsq", "systems": "GRECJ", "mask_deg": 5.0})
+    config = RunConfig.from_dict({"method": "lsq", "error_model": "white", "systems": "GRECJ", "mask_deg": 5.0})
     solution = solve_run(obs, BroadcastEphemeris(nav), nav.ionosphere, config)
     off = enu_from_ecef(solution.pos_e, PLACE)
     assert np.abs(off.mean(axis=0)).max() < 0.1  # m: 50 satellites, 120 epochs

@@ -56,8 +56,8 @@ class ErrorParameters(Checked):
     """Travel over which multipath changes."""
     weak_cn0_dbhz: Annotated[float, Range(0.0, 60.0)] = 33.0
     """C/N0 at which reflections and diffraction are `weak_m`."""
-    weak_m: NotNegative = 10.0
-    weak_decade_db: Positive = 10.0
+    weak_m: NotNegative = 8.0
+    weak_decade_db: Positive = 8.0
     """Loss of C/N0 over which they grow tenfold."""
     weak_share: Annotated[float, Range(0.0, 1.0)] = 0.95
     """Part of their variance that lasts; the rest is white."""

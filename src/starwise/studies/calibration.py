@@ -32,8 +32,8 @@ Progress = Callable[[str, float], None]
 
 NAMES: Final = (
     "vertical_fraction", "gradient_fraction", "ionosphere_fraction", "slow_gps_m", "slow_galileo_m", "slow_beidou_m",
-    "slow_beidou_geo_m", "slope_m", "signal_bias_m", "multipath_m", "code_white_m", "weak_m", "slow_tau_s",
-    "ionosphere_tau_s", "vertical_tau_s", "floor_m",
+    "slow_beidou_geo_m", "slope_m", "signal_bias_m", "multipath_m", "code_white_m", "slow_tau_s",
+    "ionosphere_tau_s", "vertical_tau_s",
 )  # fmt: skip
 """Parameters that are fitted; the others hardly matter to a position, or the data do not determine them."""
 STIFFNESS: Final = 0.03
@@ -58,6 +58,8 @@ class SetFile(Checked):
     systems: str = "GRECJ"
     dynamics: tuple[Literal["static", "pedestrian", "vehicle", "aircraft"], ...] = ("static", "vehicle")
     """Presets with which it is judged."""
+    combination: tuple[Literal["uncombined", "single"], ...] = ("uncombined", "single")
+    """Two frequencies and one: the priors of the ionosphere weigh most where there is one."""
 
 
 @dataclass(frozen=True)
@@ -94,10 +96,10 @@ def read_cases(path: Path) -> list[Case]:
     listed = CalibrationFile.from_dict(read_toml(path), file=str(path))
     if not listed.set:
         raise StarwiseError("no measurements to calibrate on", file=path, wanted="[[set]] tables")
-    return [_case(item, path.parent, listed) for item in listed.set]
+    return [_case(item, path.parent, listed, kind) for item in listed.set for kind in item.combination]
 
 
-def _case(item: SetFile, folder: Path, listed: CalibrationFile) -> Case:
+def _case(item: SetFile, folder: Path, listed: CalibrationFile, combination: Literal["uncombined", "single"]) -> Case:
     from starwise.io.rinex_nav import read_nav
     from starwise.io.rinex_obs import read_obs
     from starwise.io.truth import read_truth
@@ -106,7 +108,7 @@ def _case(item: SetFile, folder: Path, listed: CalibrationFile) -> Case:
 
     obs = read_obs(folder / item.observations)
     records = read_nav(*(folder / name for name in item.navigation))
-    config = RunConfig(systems=item.systems)
+    config = RunConfig(systems=item.systems, combination=combination)
     prepared = prepare(obs, BroadcastEphemeris(records), records.ionosphere, config)
     where = folder / item.truth
     truth = _truth_at(read_truth(str(where) if where.exists() else item.truth), obs.t_ns)
@@ -115,7 +117,8 @@ def _case(item: SetFile, folder: Path, listed: CalibrationFile) -> Case:
         raise StarwiseError("no session with a truth", file=folder / item.observations)
     if len(windows) > 2:
         windows = windows[:: listed.every]
-    return Case(item.name, item.station or item.name, item.dynamics, item.systems, prepared, truth, tuple(windows))
+    name = item.name if combination == "uncombined" else f"{item.name}, L1"
+    return Case(name, item.station or item.name, item.dynamics, item.systems, prepared, truth, tuple(windows))
 
 
 def _truth_at(truth: Truth, t_ns: np.ndarray) -> F8:
