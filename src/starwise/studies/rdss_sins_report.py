@@ -266,7 +266,8 @@ def draw(result: Result, curves: Curves, base: Path) -> list[str]:
 
     for number, name in ((1, "static"), (3, "dynamic")):
         c = curves[name]
-        figure(f"fig{number}_{name}_errors.svg", partial(_fill_errors, c=c), "time, s", "position error, m")
+        errors = "fig1_static_errors.svg" if name == "static" else "dynamic_errors.svg"
+        figure(errors, partial(_fill_errors, c=c), "time, s", "position error, m")
         inner = partial(_fill_innovations, c=c)
         figure(f"fig{number + 1}_{name}_innovations.svg", inner, "step", "innovation, m")
         figure(f"free_{name}.svg", partial(_fill_free, c=c), "time, s", "position error, m")

@@ -12,7 +12,7 @@ import numpy as np
 
 from starwise.constants import NS
 from starwise.estimators.late import METHODS
-from starwise.frames import C_ne_ned, geodetic_from_ecef
+from starwise.frames import geodetic_from_ecef, rotations_ne_enu
 from starwise.gnsstime import from_week_tow
 from starwise.kernels.rdss_sins import FREE, SinsFixes, SinsOut, sins_run
 from starwise.kernels.sins15 import SinsModel
@@ -91,6 +91,7 @@ class Experiment:
         What the filter believes of the variance of fixes, over the truth.
     turn_deg : float
         Size of the turns.
+    duration_s : float
     """
 
     name: str
@@ -102,6 +103,7 @@ class Experiment:
     constant_height_error: bool = False
     R_factor: float = 1.0
     turn_deg: float = 90.0
+    duration_s: float = DURATION_S
     errors: SinsErrors = field(default_factory=SinsErrors)
     noise: RdssNoise = field(default_factory=RdssNoise)
 
@@ -118,7 +120,9 @@ class Experiment:
                     turn |= {"rate_dps": 0.5, "roll_in_s": 1.0}
                 ways += [{"kind": "straight", "duration_s": 40.0}, {"kind": "turn", **turn}]
             given = {"kind": "aircraft", "speed_mps": self.speed_mps, "segments": [*ways, {"kind": "straight"}]}
-        return from_segments(Vehicle.from_dict({"start": list(START), "heading_deg": 30.0, **given}), T0_NS, DURATION_S)
+        return from_segments(
+            Vehicle.from_dict({"start": list(START), "heading_deg": 30.0, **given}), T0_NS, self.duration_s
+        )
 
 
 @dataclass(frozen=True)
@@ -150,19 +154,30 @@ class SinsRun:
     effect: F8
 
 
+@dataclass(frozen=True)
+class _Named:
+    """Streams of an experiment: those at rest and those in motion are independent, variants of them share theirs."""
+
+    of: Streams
+    name: str
+
+    def __call__(self, name: str) -> np.random.Generator:
+        return self.of(f"{self.name}/{name}")
+
+
 class Scene:
     """What is common to all runs of an experiment, computed once."""
 
     def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment
         path = experiment.trajectory()
-        n = round(DURATION_S * RATE_HZ)
+        n = round(experiment.duration_s * RATE_HZ)
         t_ns = T0_NS + np.arange(n + 1, dtype=np.int64) * (NS // RATE_HZ)
         self.perfect = perfect_imu(path, t_ns, increments=True)
         states = path.states(t_ns)
         self.llh = geodetic_from_ecef(states.pos_e)
-        C = [C_ne_ned(float(a), float(b)) for a, b in self.llh[:, :2]]
-        self.vel_n = np.einsum("kij,kj->ki", np.array(C), states.vel_e)
+        C = rotations_ne_enu(self.llh[:, 0], self.llh[:, 1])[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])[:, None]
+        self.vel_n = np.einsum("kij,kj->ki", C, states.vel_e)
         self.C_nb0 = C[0] @ states.C_eb[0]
         self.pos_e = states.pos_e
         self.sats = geostationary()
@@ -177,7 +192,7 @@ class Scene:
 
     def simulate(self, run: int, seed: int) -> "Measured":
         """Readings and fixes of a run."""
-        rng = streams(seed, run)
+        rng = _Named(streams(seed, run), "rest" if self.experiment.speed_mps == 0.0 else "moving")
         e, n = self.experiment.errors, len(self.perfect.dt_s)
         dtheta = self.perfect.gyro + _sensor(n, e.gyro_constant, e.gyro_markov, e.tau_s, e.gyro_white, rng, "gyro")
         dv = self.perfect.accel + _sensor(n, 0.0, e.accel_markov, e.tau_s, e.accel_white, rng, "accel")
@@ -198,11 +213,11 @@ class Scene:
             lat, lon = lat + d_pos[0] / (R_M + h), lon + d_pos[1] / ((R_N + h) * np.cos(lat))
         return np.array([w, x, y, z, *vel, lat, lon, h])
 
-    def _start(self, rng: Streams) -> F8:
+    def _start(self, rng: _Named) -> F8:
         e, draw = self.experiment.errors, rng("start").standard_normal(7)
         return self.nav0(e.attitude_rad * draw[:3], e.velocity_mps * draw[3:5], e.position_m * draw[5:])
 
-    def _fixes(self, rng: Streams) -> SinsFixes:
+    def _fixes(self, rng: _Named) -> SinsFixes:
         x, asked = self.experiment, self.asked
         n = len(asked)
         valid = asked.copy()
@@ -273,7 +288,7 @@ def _nis(v: F8, S: F8) -> F8:
     return np.asarray((v * np.linalg.solve(S, v[:, :, None])[:, :, 0]).sum(axis=1))
 
 
-def _sensor(n: int, constant: float, markov: float, tau_s: float, white: float, rng: Streams, name: str) -> F8:
+def _sensor(n: int, constant: float, markov: float, tau_s: float, white: float, rng: _Named, name: str) -> F8:
     """Errors of increments, (n, 3): constant, first-order Markov (stationary from the start), white."""
     from scipy.signal import lfilter
 
