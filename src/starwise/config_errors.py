@@ -22,8 +22,8 @@ class ErrorParameters(Checked):
     slow_beidou_geo_m: NotNegative = 1.8
     slow_qzss_m: NotNegative = 1.0
     slow_tau_s: Positive = 3600.0
-    precise_m: NotNegative = 0.3
-    """The same with precise orbits and clocks: antenna offsets, latencies."""
+    precise_fraction: NotNegative = 0.7
+    """The same with precise orbits and clocks, as a fraction: group delays and antenna offsets remain."""
     ionosphere_fraction: NotNegative = 0.13
     """Slant delay of a satellite, remainder as a fraction of the broadcast model."""
     ionosphere_floor_m: NotNegative = 0.1

@@ -54,7 +54,7 @@ def slow_sigma(p: ErrorParameters, sv: NDArray[np.int16], claim_m: F8, nominal_m
     slow = np.where(geo, p.slow_beidou_geo_m, slow)
     precise = claim_m < nominal_m
     excess = np.sqrt(np.maximum(claim_m**2 - nominal_m**2, 0.0))
-    return np.where(precise, np.hypot(p.precise_m, claim_m), np.hypot(slow, excess))
+    return np.where(precise, np.hypot(p.precise_fraction * slow, claim_m), np.hypot(slow, excess))
 
 
 def _biases(sv: NDArray[np.int16], sig: NDArray[np.int16], sig2: NDArray[np.int16]) -> tuple[I8, I8, tuple[str, ...]]:
