@@ -61,16 +61,29 @@ def _main(
 
 @app.command()
 def solve(
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Directory for the results.")],
     files: Annotated[
-        list[Path],
+        list[Path] | None,
         typer.Argument(
             metavar="OBS NAV",
             help="RINEX observations of one receiver and navigation files, in any order, however compressed; SP3 and "
             "CLK files may stand here, too.",
         ),
-    ],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Directory for the results.")],
-    method: Annotated[str | None, typer.Option(metavar="lsq|ekf|s3ekf", help="Estimator; default s3ekf.")] = None,
+    ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(metavar="lsq|ekf|s3ekf", help="Estimator; default s3ekf. With --imu: loose (default) or tight."),
+    ] = None,
+    imu: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Inertial readings: adds attitude and sensor biases.")
+    ] = None,
+    imu_config: Annotated[
+        str | None,
+        typer.Option("--imu-config", metavar="FILE.toml|LAYOUT", help="What the file of --imu holds; [inertial]."),
+    ] = None,
+    fixes: Annotated[
+        Path | None, typer.Option(metavar="FILE.pos", help="With --imu, in place of RINEX: fixes from elsewhere.")
+    ] = None,
     error_model: Annotated[
         str | None,
         typer.Option(metavar="colored|white", help="Range errors that last, as states, or white; default colored."),
@@ -146,6 +159,14 @@ def solve(
 
     if sessions is not None:
         options["session_s"] = parse_duration(sessions)
+    if imu is not None or imu_config is not None or fixes is not None:
+        from starwise.cli_ins import solve_imu
+
+        given = [*(files or []), *(path for path in (ephemeris, clock) if path is not None)]
+        solve_imu(given, imu, imu_config, fixes, options, config, output, as_json, quiet)
+        return
+    if not files:
+        raise StarwiseError("no files to solve", wanted="RINEX observations and navigation files")
 
     chosen = load_config(config, options)
     with _Progress(quiet or as_json, quiet) as progress:

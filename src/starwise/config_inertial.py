@@ -7,7 +7,7 @@ engine does to it is `vibration`.
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from starwise.config import Checked, NotNegative, Positive, Range
+from starwise.checked import Checked, NotNegative, Positive, Range
 from starwise.errors import StarwiseError
 
 

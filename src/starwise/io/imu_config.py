@@ -256,6 +256,7 @@ def load_imu_config(where: str | Path, options: Mapping[str, Any] | None = None)
         raise StarwiseError("no such description", found=str(where), wanted=f"a TOML file or {' | '.join(known)}")
     else:
         data = read_toml(path)
+        data.pop("inertial", None)  # options of the filter: starwise.config_inertial
         like = data.pop("like", None)
         if like is not None:
             if like not in known:

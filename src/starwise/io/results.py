@@ -192,6 +192,7 @@ def solution_table(solution: Solution) -> "pl.DataFrame":
     columns.append(pl.Series("n_used", solution.n_used))
     columns += [_series(name, solution.dop[:, i]) for i, name in enumerate(_DOPS)]
     columns += [_series("nis", solution.nis), pl.Series("dof", solution.dof)]
+    columns += [_series(name, values) for name, values in solution.extra.items()]
     return pl.DataFrame(columns)
 
 
@@ -317,6 +318,8 @@ def _solution_of(table: "pl.DataFrame", ledger: dict[str, NDArray[Any]], provena
         dof=_numbers(table, "dof").astype(np.int32),
         ledger=ledger,
         provenance=provenance,
+        # further estimates stand behind the last column that every solution has
+        extra={name: _numbers(table, name) for name in table.columns[table.columns.index("dof") + 1 :]},
     )
 
 

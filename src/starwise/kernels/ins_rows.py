@@ -12,9 +12,9 @@ its caller. l is the antenna's lever arm in body axes, C = C_nb, phi the attitud
     barometer   h + its error
 
 C_vb = R_y(pitch) R_z(yaw) turns body axes into those of the vehicle (forward, right, down): the sensor is turned to the
-right by yaw, then its nose and the vehicle's floor up by pitch. Roll does not show: turning about it, the vehicle still goes
-straight ahead. Groves (2013) 14.3, 15.3; sideslip and squat grow with lateral and longitudinal
-acceleration: Rajamani (2012) "Vehicle dynamics and control" 2.3, 4.
+right by yaw, then up by pitch. Roll in the vehicle does not show: rolled or not, it goes straight ahead. Groves (2013)
+14.3, 15.3; sideslip and squat grow with lateral and longitudinal acceleration: Rajamani (2012) "Vehicle dynamics and
+control" 2.3, 4.
 """
 
 import math

@@ -32,6 +32,7 @@ EVENT_CONSTRAINT = 3
 EVENT_REST = 4
 EVENT_BARO = 5
 EVENT_ODO = 6
+EVENT_EPOCH = 7
 
 
 class Readings(NamedTuple):
@@ -175,7 +176,7 @@ def _store(belief: Belief, n: int, at: At, mo: Motion, options: Options, space: 
 
 
 @njit
-def _apply(
+def apply(
     belief: Belief, n: int, m: int, gate: float, mo: Motion, keep: bool, space: Space, rec: Records
 ) -> tuple[float, float]:
     """Update with the m rows in the work space, its record, feedback. NIS and weight."""
@@ -191,7 +192,8 @@ def _apply(
 
 
 @njit
-def _diagonal(R: F8, a: float, b: float, c: float) -> None:
+def diagonal(R: F8, a: float, b: float, c: float) -> None:
+    """Diagonal (3, 3) matrix of three variances."""
     for i in range(3):
         for j in range(3):
             R[i, j] = 0.0
@@ -218,13 +220,13 @@ def _fix(
                 P[6 + k, 6 + k] += space.v[k] * space.v[k]
                 P[3 + k, 3 + k] += min(1.0, 0.01 * space.v[k] * space.v[k])
             failed = 0
-        nis, weight = _apply(belief, n, 3, options.gate[3], mo, options.keep, space, rec)
+        nis, weight = apply(belief, n, 3, options.gate[3], mo, options.keep, space, rec)
         out.pos_nis[i], out.pos_weight[i] = nis, weight
         return failed + 1 if weight < 1.0 else 0
     velocity_rows(nav, belief.est, n, at, mo.C, options.arm, mo.omega, mo.force, aid.velocity[i], space.H, space.v)
     for k in range(3):
         out.vel_v[i, k] = space.v[k]
-    nis, weight = _apply(belief, n, 3, options.gate[3], mo, options.keep, space, rec)
+    nis, weight = apply(belief, n, 3, options.gate[3], mo, options.keep, space, rec)
     out.vel_nis[i], out.vel_weight[i] = nis, weight
     return failed
 
@@ -242,8 +244,8 @@ def _pseudo(
         out.pseudo_v[i, 0], out.pseudo_v[i, 1], out.pseudo_v[i, 2] = v[0], v[1], speed
         if abs(speed) < options.constraint_speed:
             return
-        _diagonal(space.R, options.constraint_var[0], options.constraint_var[1], 0.0)
-        nis, _ = _apply(belief, n, 2, options.gate[2], mo, options.keep, space, rec)
+        diagonal(space.R, options.constraint_var[0], options.constraint_var[1], 0.0)
+        nis, _ = apply(belief, n, 2, options.gate[2], mo, options.keep, space, rec)
     elif kind == EVENT_REST:
         for k in range(3):
             bias, var = est[9 + k], belief.P[9 + k, 9 + k]
@@ -255,19 +257,19 @@ def _pseudo(
         if speed2 > 9.0 * (belief.P[3, 3] + belief.P[4, 4] + belief.P[5, 5]) + 0.04:
             return
         rest_rate_rows(nav, est, n, at, mo.C, aid.rest, i, H, v)
-        _diagonal(space.R, options.rest_rate_var, options.rest_rate_var, options.rest_rate_var)
-        _apply(belief, n, 3, options.gate[3], mo, options.keep, space, rec)
+        diagonal(space.R, options.rest_rate_var, options.rest_rate_var, options.rest_rate_var)
+        apply(belief, n, 3, options.gate[3], mo, options.keep, space, rec)
         rest_rows(nav, n, H, v)
-        _diagonal(space.R, options.rest_var, options.rest_var, options.rest_var)
-        nis, _ = _apply(belief, n, 3, options.gate[3], mo, options.keep, space, rec)
+        diagonal(space.R, options.rest_var, options.rest_var, options.rest_var)
+        nis, _ = apply(belief, n, 3, options.gate[3], mo, options.keep, space, rec)
     elif kind == EVENT_BARO:
         barometer_row(nav, est, n, at, aid.baro[i, 0], H, v)
-        _diagonal(space.R, aid.baro[i, 1], 0.0, 0.0)
-        nis, _ = _apply(belief, n, 1, options.gate[1], mo, options.keep, space, rec)
+        diagonal(space.R, aid.baro[i, 1], 0.0, 0.0)
+        nis, _ = apply(belief, n, 1, options.gate[1], mo, options.keep, space, rec)
     else:
         odometer_row(nav, est, n, at, mo.C, mo.omega, mo.force, aid.odo[i, 0], space.J, space.u, H, v)
-        _diagonal(space.R, aid.odo[i, 1], 0.0, 0.0)
-        nis, _ = _apply(belief, n, 1, options.gate[1], mo, options.keep, space, rec)
+        diagonal(space.R, aid.odo[i, 1], 0.0, 0.0)
+        nis, _ = apply(belief, n, 1, options.gate[1], mo, options.keep, space, rec)
     if nis == nis:
         out.pseudo[kind - EVENT_CONSTRAINT, 0] += 1.0
         out.pseudo[kind - EVENT_CONSTRAINT, 1] += nis
@@ -289,6 +291,44 @@ def new_space(n: int) -> Space:
         np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, 3)), np.zeros((3, 3)),
         np.zeros(3), np.zeros(3), np.zeros(n),
     )  # fmt: skip
+
+
+@njit
+def advance_to(
+    t: float, i: int, now: float, read: Readings, belief: Belief, n: int, at: At, keep: bool, mo: Motion
+) -> tuple[int, float]:
+    """Predict from ``now``, in interval i, to time t. Returns interval and time, t or the end of the readings."""
+    while i < len(read.dtheta) and t - now > 1e-6:
+        end = read.t[i + 1]
+        stop = end if t > end - 1e-6 else t
+        part = (stop - now) / (end - read.t[i])
+        predict(
+            belief.nav, belief.est, belief.P, n, at, read.dtheta, read.dv, i, part, stop - now,
+            read.gyro_psd, read.accel_psd, belief.rate, belief.walk, keep, mo,
+        )  # fmt: skip
+        now = stop
+        if stop == end:
+            i += 1
+    return i, now
+
+
+@njit
+def happen(
+    kind: int, k: int, belief: Belief, n: int, at: At, mo: Motion, aid: Aiding, options: Options, failed: int,
+    space: Space, out: Out, rec: Records,
+) -> int:  # fmt: skip
+    """Node or measurement number k of a kind, satellites excepted; returns the positions in a row outside the gate."""
+    if kind == EVENT_NODE:
+        _store(belief, n, at, mo, options, space, out, k)
+        if options.keep:
+            record_transition(n, mo, rec)
+            reset_transition(n, mo)
+            record_node(k, rec)
+    elif kind in (EVENT_POSITION, EVENT_VELOCITY):
+        return _fix(kind, k, belief, n, at, mo, aid, options, failed, space, out, rec)
+    else:
+        _pseudo(kind, k, belief, n, at, mo, aid, options, space, out, rec)
+    return failed
 
 
 @njit
@@ -318,28 +358,8 @@ def ins_run(
     reset_transition(n, mo)
     i, now, failed = first, read.t[first], 0
     for e in range(len(events.t)):
-        while i < len(read.dtheta) and events.t[e] - now > 1e-6:
-            end = read.t[i + 1]
-            stop = end if events.t[e] > end - 1e-6 else events.t[e]
-            part = (stop - now) / (end - read.t[i])
-            predict(
-                belief.nav, belief.est, belief.P, n, at, read.dtheta, read.dv, i, part, stop - now,
-                read.gyro_psd, read.accel_psd, belief.rate, belief.walk, options.keep, mo,
-            )  # fmt: skip
-            now = stop
-            if stop == end:
-                i += 1
-        kind, k = events.kind[e], events.row[e]
-        if kind == EVENT_NODE:
-            _store(belief, n, at, mo, options, space, out, k)
-            if options.keep:
-                record_transition(n, mo, rec)
-                reset_transition(n, mo)
-                record_node(k, rec)
-        elif kind in (EVENT_POSITION, EVENT_VELOCITY):
-            failed = _fix(kind, k, belief, n, at, mo, aid, options, failed, space, out, rec)
-        else:
-            _pseudo(kind, k, belief, n, at, mo, aid, options, space, out, rec)
+        i, now = advance_to(events.t[e], i, now, read, belief, n, at, options.keep, mo)
+        failed = happen(events.kind[e], events.row[e], belief, n, at, mo, aid, options, failed, space, out, rec)
 
 
 @njit

@@ -119,12 +119,12 @@ def _back_update(d: F8, n: int, m: int, lam: F8, L: F8, G: F8, LK: F8) -> None:
 @njit
 def _back_transition(d: F8, n: int, at: At, lam: F8, L: F8, Y: F8) -> None:
     """Over a transition: Phi' lambda, Phi' Lambda Phi."""
-    nc, since = at.nc, d[10 * n]
+    clk, since = at.clk, d[10 * n]
     for i in range(n):
         for j in range(n):
             Y[i, j] = L[i, j] * d[9 * n + j] if j >= 9 else 0.0
-        for c in range(nc):
-            Y[i, at.clk + nc + c] += since * L[i, at.clk + c]
+        if clk >= 0:
+            Y[i, clk + 1] += since * L[i, clk]
         for k in range(9):
             t = L[i, k]
             if t != 0.0:
@@ -133,9 +133,9 @@ def _back_transition(d: F8, n: int, at: At, lam: F8, L: F8, Y: F8) -> None:
     for i in range(n):
         for j in range(n):
             L[i, j] = Y[i, j] * d[9 * n + i] if i >= 9 else 0.0
-    for c in range(nc):
+    if clk >= 0:
         for j in range(n):
-            L[at.clk + nc + c, j] += since * Y[at.clk + c, j]
+            L[clk + 1, j] += since * Y[clk, j]
     for k in range(9):
         for i in range(n):
             t = d[k * n + i]
@@ -149,8 +149,8 @@ def _back_transition(d: F8, n: int, at: At, lam: F8, L: F8, Y: F8) -> None:
             L[j, i] = t
     for j in range(n):
         Y[0, j] = lam[j] * d[9 * n + j] if j >= 9 else 0.0
-    for c in range(nc):
-        Y[0, at.clk + nc + c] += since * lam[at.clk + c]
+    if clk >= 0:
+        Y[0, clk + 1] += since * lam[clk]
     for k in range(9):
         for j in range(n):
             Y[0, j] += d[k * n + j] * lam[k]

@@ -37,8 +37,8 @@ class At(NamedTuple):
     tau: int  # 1: time offset of fixes: a tag t is of t + tau, s
     baro: int  # 1: error of the barometric height, m
     odo: int  # 1: scale error of the odometer
-    clk: int  # nc: receiver clocks, m, then nc drifts, m/s
-    nc: int
+    clk: int  # 2: receiver clock of the first system, m, and its drift, m/s
+    isb: int  # others: clocks of further systems against the first, m
 
 
 class Motion(NamedTuple):
@@ -189,20 +189,17 @@ def predict(
                 W[r, k] *= d
         P[k, k] += 0.5 * dt * walk[k] * (1.0 + d * d)
     if at.clk >= 0:
-        nc = at.nc
-        for c in range(at.clk, at.clk + nc):
-            est[c] += dt * est[c + nc]
-            for j in range(9, n):
-                P[c, j] += dt * P[c + nc, j]
-            for r in range(9):
-                W[r, c] += dt * W[r, c + nc]
-        for c in range(at.clk, at.clk + nc):
-            for j in range(9, n):
-                P[j, c] += dt * P[j, c + nc]
-            p = dt * dt * walk[c + nc]
-            P[c, c] += dt * p / 3.0
-            P[c, c + nc] += 0.5 * p
-            P[c + nc, c] += 0.5 * p
+        c, p = at.clk, dt * dt * walk[at.clk + 1]
+        est[c] += dt * est[c + 1]
+        for j in range(9, n):
+            P[c, j] += dt * P[c + 1, j]
+        for j in range(9, n):
+            P[j, c] += dt * P[j, c + 1]
+        for r in range(9):
+            W[r, c] += dt * W[r, c + 1]
+        P[c, c] += dt * p / 3.0
+        P[c, c + 1] += 0.5 * p
+        P[c + 1, c] += 0.5 * p
     for r in range(9):
         for s in range(r + 1):
             t = 0.0

@@ -11,6 +11,7 @@ from starwise.constants import NS
 from starwise.errors import StarwiseError
 from starwise.kernels.ins_run import Readings
 from starwise.kernels.ins_state import At
+from starwise.models.process import Clocks
 from starwise.physics.earth import STANDARD_GRAVITY
 from starwise.types import F8, I8, Inertial, Layout
 
@@ -233,8 +234,19 @@ class InertialState:
     walk: F8
 
 
-def inertial_state(config: InertialConfig, *, baro: bool = False, odometer: bool = False) -> InertialState:
-    """State of a configuration; ``baro`` and ``odometer`` say that such measurements will come."""
+def inertial_state(
+    config: InertialConfig,
+    *,
+    baro: bool = False,
+    odometer: bool = False,
+    clocks: tuple[str, ...] = (),
+    noise: Clocks | None = None,
+) -> InertialState:
+    """State of a configuration; what follows says which measurements will come.
+
+    ``clocks`` are the letters of the systems whose pseudoranges will come: one receiver clock with its drift, and
+    the further systems' clocks against it.
+    """
     g, a, car = config.gyro, config.accel, config.vehicle
     names = [f"{kind}.{axis}" for kind in ("att", "vel", "pos") for axis in "ned"]
     rows: list[tuple[float, float, float, float]] = [(0.0, 0.0, 0.0, 0.0)] * 9
@@ -283,8 +295,14 @@ def inertial_state(config: InertialConfig, *, baro: bool = False, odometer: bool
         add("baro", ["baro"], markov(config.baro_sigma_m, BARO_TAU_S, config.baro_sigma_m))
     if odometer and config.odometer_scale_sigma > 0.0:
         add("odo", ["odo"], constant(0.0, config.odometer_scale_sigma))
+    if clocks:
+        if noise is None:
+            raise ValueError("clocks want their noise")
+        add("clk", [f"clk.{clocks[0]}", "drift"], (0.0, 0.0, 0.0, noise.bias_psd), (0.0, 0.0, 0.0, noise.drift_psd))
+        if len(clocks) > 1:
+            add("isb", [f"isb.{name}" for name in clocks[1:]], (0.0, 0.0, 0.0, noise.system_bias_psd))
     numbers = np.array(rows)
-    at = At(**{name: where.get(name, -1) for name in At._fields if name != "nc"}, nc=0)
+    at = At(**{name: where.get(name, -1) for name in At._fields})
     return InertialState(Layout(tuple(names)), at, *(numbers[:, k].copy() for k in range(4)))
 
 
