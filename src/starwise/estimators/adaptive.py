@@ -94,9 +94,9 @@ KINDS: Final = {
 RULES: Final[dict[str, Adaptation]] = {
     "none": Adaptation("none"),
     # eq. 12-16, without and with the improvements of eq. 17-19
-    "fading": Adaptation("paper", most=1e6),
-    "fading_improved": Adaptation("paper", alpha=4.0, weight=500.0, limit=120.0**2, most=1e6),
-    "strong_tracking": Adaptation("strong_tracking", softening=4.0, most=1e6),
+    "fading": Adaptation("paper", most=1e3),
+    "fading_improved": Adaptation("paper", alpha=4.0, weight=500.0, limit=120.0**2, most=1e3),
+    "strong_tracking": Adaptation("strong_tracking", softening=4.0, most=1e3),
     "iae_r": Adaptation("iae_r"),
     "iae_q": Adaptation("iae_q"),
     "sage_husa_r": Adaptation("sage_husa", memory=0.98),
@@ -104,7 +104,8 @@ RULES: Final[dict[str, Adaptation]] = {
     "huber": Adaptation("huber", c=1.345),
     "igg3": Adaptation("igg3", c=1.5, c1=4.0),
 }
-"""Rules by name, with numbers of the literature."""
+"""Rules by name, with numbers of the literature. Fading is limited to 1000 an epoch: more than that, some epochs in a
+row, leaves a covariance of 1e18 m^2 in which an update loses every digit."""
 
 
 def factors(

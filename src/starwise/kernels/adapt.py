@@ -11,7 +11,8 @@ measurement noise). It answers with
 so that any filter can use any rule, whether it takes its rows at once (EKF) or one by one (S3EKF, local filters): the
 variances are known before the first row is processed. Q and R stay positive definite because they are only scaled.
 
-Rules (`kind`), with d the trace of v v', and sums over the rows that are not NaN:
+Rules (`kind`), with d the trace of v v', and sums over the rows that are not NaN. In all but PAPER, rows count in units
+of their own r: a noisy sensor must not drown a good one in a trace.
 
 PAPER          C_0 = d / 2 at first, then lambda d / (1 + lambda) with the lambda of the epoch before
                N = weight C_0 - sum q - sum r + beta,  M = sum p,  fading = max(1, alpha N / M)    (eq. 12-20)
@@ -104,10 +105,11 @@ def adapt(rule: Rule, memory: F8, v: F8, p: F8, q: F8, r: F8, beta: float, r_out
     for i in range(len(v)):
         r_out[i] = r[i]
         if not math.isnan(v[i]):
-            d += v[i] * v[i]
-            sp += p[i]
-            sq += q[i]
-            sr += r[i]
+            unit = 1.0 if rule.kind == PAPER else r[i]
+            d += v[i] * v[i] / unit
+            sp += p[i] / unit
+            sq += q[i] / unit
+            sr += r[i] / unit
             m += 1
     fading, q_factor, r_factor = 1.0, 1.0, 1.0
     if m == 0 or rule.kind == NONE:
@@ -141,7 +143,7 @@ def adapt(rule: Rule, memory: F8, v: F8, p: F8, q: F8, r: F8, beta: float, r_out
             memory[1] = 1.0
         seen = (d - sp - sq) / sr if rule.noise == ON_R else (d - sp - sr) / max(sq, 1e-300)
         # bounded before it is averaged: one wild epoch, or a negative estimate, cannot carry the mean away
-        memory[1] = (1.0 - weight) * memory[1] + weight * _within(seen, -rule.most, rule.most)
+        memory[1] = (1.0 - weight) * memory[1] + weight * _within(seen, -10.0 * rule.most, 10.0 * rule.most)
         value = _within(memory[1], rule.least, rule.most)
         if rule.noise == ON_R:
             r_factor = value

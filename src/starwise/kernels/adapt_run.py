@@ -99,8 +99,10 @@ def adaptive_run(motion: Motion, rule: Rule, dt: float, z: F8, r: F8, x_out: F8,
                     x1[i] = P[a, i, 0]
                 for i in range(3):
                     x[a, i] += x1[i] * d / s
-                    for j in range(3):
+                    for j in range(i + 1):
+                        # one triangle, copied: a fading factor makes rounding of the two grow apart
                         P[a, i, j] -= x1[i] * x1[j] / s
+                        P[a, j, i] = P[a, i, j]
             for i in range(3):
                 x_out[e, a, i] = x[a, i]
                 for j in range(3):

@@ -329,8 +329,8 @@ def bank_run(bank: Bank, t: F8, z: F8, r: F8, share: F8, out: BankOut) -> None:
                 zs[k, a] = math.nan if rate[k] > 0.5 else z[e, k, a]
         chi2, product, dof = combine(zs, r[e], zc, rc, deviation)
         if bank.gate < math.inf:
-            # nor does one epoch decide: an outlier counts as five sigmas
-            chi2 = min(chi2, 25.0 * bare2 * max(dof, 1))
+            # nor does one epoch decide: an outlier counts as three sigmas
+            chi2 = min(chi2, 9.0 * bare2 * max(dof, 1))
             combine_kept(z[e], r[e], keep, zc, rc)
         if bank.scale_window > 0.0 and dof > 0:
             # the scale in use is of the epochs before and of this one; the nominal noise counts as a few epochs

@@ -112,7 +112,7 @@ def combine_kept(z: F8, r: F8, keep: NDArray[np.bool_], zc: F8, rc: F8) -> None:
 
 @njit
 def remember_refusals(z: F8, keep: NDArray[np.bool_], rate: F8) -> None:
-    """How often each receiver has been refused of late, mean over some 20 epochs."""
+    """How often each receiver has been refused of late, mean over some 10 epochs."""
     for k in range(len(z)):
         if not math.isnan(z[k, 0]):
-            rate[k] += 0.05 * ((0.0 if keep[k] else 1.0) - rate[k])
+            rate[k] += 0.1 * ((0.0 if keep[k] else 1.0) - rate[k])
