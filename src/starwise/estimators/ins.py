@@ -1,7 +1,7 @@
 """Inertial navigation aided by fixes (loose coupling): readings and fixes in, trajectory, attitude and biases out."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +10,7 @@ from starwise.chi2 import chi_square_points
 from starwise.config_inertial import InertialConfig
 from starwise.errors import StarwiseError
 from starwise.estimators.ins_align import FixTable, Start, align
+from starwise.estimators.ins_check import NIS_ALARM, lag_note, mean_nis, shifted, what_if
 from starwise.estimators.ins_output import Aids, InertialRun, empty_out, empty_records, packed
 from starwise.frames import geodetic_from_ecef, rotations_ne_enu
 from starwise.kernels.ins_run import (
@@ -113,7 +114,7 @@ def fix_table(fixes: Fixes, t0_ns: int, end_s: float, config: InertialConfig) ->
 
 def _floored(cov: F8, least: float) -> tuple[F8, int]:
     """Covariances with standard deviations of at least ``least``; what is not finite becomes that."""
-    bad = ~np.isfinite(cov).all(axis=(1, 2))
+    bad = np.asarray(~np.isfinite(cov).all(axis=(1, 2)))
     cov = np.where(bad[:, None, None], 0.0, cov)
     diagonal = np.einsum("kii->ki", cov)
     low = (diagonal < least**2).any(axis=1)
@@ -149,15 +150,45 @@ def loose(
     """
     iv = intervals(inertial, config)
     t0, end = int(iv.t_ns[0]), float(iv.read.t[-1])
-    table, notes = fix_table(fixes, t0, end, config)
+    plain, notes = fix_table(fixes, t0, end, replace(config, velocity_lag_s=0.0))
+    table, _ = fix_table(fixes, t0, end, config)
     state = inertial_state(config, baro=baro is not None, odometer=odometer is not None)
-    start = align(iv, table, state, config)
     extra = np.zeros(0)
     if epochs_ns is not None:
         extra = np.asarray((epochs_ns - t0) * 1e-9, dtype=np.float64)
+    start = align(iv, table, state, config)
     run = run_filter(iv, table, start, state, config, extra, baro, odometer)
-    run.solution.provenance["notes"] = [*iv.notes, *notes]
+    told = [*iv.notes, *notes, *lag_note(plain, config)]
+    nis = _both_nis(run, config)
+    if nis > NIS_ALARM:
+        told.append(_contradiction(iv, table, state, config, nis))
+    run.solution.provenance["notes"] = told
+    run.solution.provenance["nis_per_dof"] = nis if math.isfinite(nis) else None
     return run
+
+
+def _both_nis(run: InertialRun, config: InertialConfig) -> float:
+    """Mean NIS per degree of freedom of positions and velocities."""
+    parts = [run.fixes["nis"]] + ([run.fixes["velocity_nis"]] if config.use_velocity else [])
+    return mean_nis(np.concatenate(parts))
+
+
+def _contradiction(iv: Intervals, table: FixTable, state: InertialState, config: InertialConfig, nis: float) -> str:
+    """What is to be said of fixes that contradict the readings; other time tags are tried."""
+    end = float(iv.read.t[-1])
+    plain = replace(config, smooth=False, output_rate_hz=0.0)
+
+    def nis_of(shift_s: float) -> float:
+        moved = shifted(table, shift_s, end)
+        run = run_filter(iv, moved, align(iv, moved, state, plain), state, plain, np.zeros(0))
+        return _both_nis(run, plain)
+
+    base = f"fixes and inertial readings contradict each other: NIS {nis:.1f} per degree of freedom, 1 as claimed"
+    best, there = what_if(nis_of)
+    if there < 0.5 * nis and abs(best) > 0.02:
+        way = "earlier" if best < 0.0 else "later"
+        return f"{base}; taken {abs(best):.2f} s {way} they agree ({there:.1f}): a delay that is not declared?"
+    return f"{base}; no other time tags within 1.5 s explain it: sigmas, axes, lever arm?"
 
 
 def _scalar_table(scalars: Scalars | None, t0_ns: int) -> tuple[F8, F8]:
