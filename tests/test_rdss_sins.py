@@ -35,10 +35,16 @@ def turning() -> Scene:
     return Scene(variant(duration_s=SHORT_S))
 
 
+@pytest.fixture(scope="module")
+def brief() -> Scene:
+    """40 s straight, then 20 s of a turn: short enough for kernels that are not compiled."""
+    return Scene(variant(duration_s=60.0))
+
+
 @pytest.mark.laws
-def test_ways_are_one_at_exactly_one_period(turning: Scene) -> None:
-    measured = turning.simulate(0, 5)
-    runs = {way: turning.filtered(measured, way) for way in ("optimal_prediction", "replay", "cloning")}
+def test_ways_are_one_at_exactly_one_period(brief: Scene) -> None:
+    measured = brief.simulate(0, 5)
+    runs = {way: brief.filtered(measured, way) for way in ("optimal_prediction", "replay", "cloning")}
     by_prediction = runs["optimal_prediction"].position_error
     # linear in the same nominal trajectory: rounding of latitudes (1e-9 m) only
     np.testing.assert_allclose(runs["cloning"].position_error, by_prediction, rtol=0, atol=2e-8)
@@ -47,7 +53,6 @@ def test_ways_are_one_at_exactly_one_period(turning: Scene) -> None:
     np.testing.assert_allclose(runs["cloning"].P, runs["optimal_prediction"].P, rtol=0, atol=1e-6)  # m^2 of 1e4
 
 
-@pytest.mark.laws
 def test_without_errors_nothing_goes_wrong() -> None:
     quiet = RdssNoise(0.0, 1e-6, 1e-6)
     scene = Scene(variant(duration_s=SHORT_S, errors=NONE, noise=quiet))
@@ -58,15 +63,15 @@ def test_without_errors_nothing_goes_wrong() -> None:
 
 
 @pytest.mark.laws
-def test_transitions_are_those_of_the_navigator(turning: Scene) -> None:
+def test_transitions_are_those_of_the_navigator(brief: Scene) -> None:
     # small errors of the start carried on by the product of Phi, and by two navigators side by side
-    T = len(turning.perfect.dt_s) // EVERY
+    T = len(brief.perfect.dt_s) // EVERY
     nav, Phi, Q = np.empty((T + 1, 10)), np.empty((T, N0, N0)), np.empty((T, N0, N0))
-    linear_model(turning.perfect.gyro, turning.perfect.accel, turning.nav0(), turning.model(), nav, Phi, Q)
+    linear_model(brief.perfect.gyro, brief.perfect.accel, brief.nav0(), brief.model(), nav, Phi, Q)
     total = np.eye(N0)
     for j in range(T):
         total = Phi[j] @ total
-    fixes = turning.simulate(0, 1).fixes
+    fixes = brief.simulate(0, 1).fixes
     last = np.array([T * EVERY])
     at_end = fixes._replace(lat=fixes.lat[:1], lon=fixes.lon[:1], R=fixes.R[:1], valid=last, there=last)
     for start, dx in (
@@ -75,9 +80,9 @@ def test_transitions_are_those_of_the_navigator(turning: Scene) -> None:
         ((np.zeros(3), np.zeros(2), np.array([3.0, 5.0])), [0, 0, 0, 0, 0, -3.0, -5.0]),
     ):
         ends = []
-        for nav0 in (turning.nav0(), turning.nav0(*start)):
-            one = Measured(turning.perfect.gyro, turning.perfect.accel, nav0, at_end)
-            run = Scene.filtered(turning, one, "free")
+        for nav0 in (brief.nav0(), brief.nav0(*start)):
+            one = Measured(brief.perfect.gyro, brief.perfect.accel, nav0, at_end)
+            run = Scene.filtered(brief, one, "free")
             ends.append(np.concatenate([run.velocity_error[0], run.position_error[0]]))
         expected = (total[:, :7] @ np.array(dx))[3:7]
         np.testing.assert_allclose(ends[0] - ends[1], expected, rtol=2e-3, atol=2e-4 * np.abs(expected).max())
@@ -85,19 +90,19 @@ def test_transitions_are_those_of_the_navigator(turning: Scene) -> None:
 
 @pytest.mark.laws
 @pytest.mark.parametrize("way", ["ignored", "optimal_prediction", "replay", "cloning"])
-def test_the_response_to_a_delay_is_a_derivative(turning: Scene, way: Any) -> None:
+def test_the_response_to_a_delay_is_a_derivative(brief: Scene, way: Any) -> None:
     # fixes moved by what a further delay of 10 ms does: innovations and positions move by the signature
-    measured = turning.simulate(0, 5)
-    base = turning.filtered(measured, way)
+    measured = brief.simulate(0, 5)
+    base = brief.filtered(measured, way)
     late = 0.01
     at = measured.fixes.there if way == "ignored" else measured.fixes.valid
-    lat, _, h = turning.llh[at].T
-    vel = turning.vel_n[at, :2] + (base.velocity_error if way == "ignored" else 0.0)  # the filter's, 2 m/s off if wrong
+    lat, _, h = brief.llh[at].T
+    vel = brief.vel_n[at, :2] + (base.velocity_error if way == "ignored" else 0.0)  # the filter's, 2 m/s off if wrong
     moved = measured.fixes._replace(
         lat=measured.fixes.lat - late * vel[:, 0] / (6.3587e6 + h),
         lon=measured.fixes.lon - late * vel[:, 1] / ((6.3870e6 + h) * np.cos(lat)),
     )
-    there = turning.filtered(replace(measured, fixes=moved), way)
+    there = brief.filtered(replace(measured, fixes=moved), way)
     # m/s of 60: radii are rounded to 1e-3, velocities are those after the update
     np.testing.assert_allclose((there.v - base.v) / late, base.signature, rtol=0, atol=0.5)
     np.testing.assert_allclose((there.position_error - base.position_error) / late, base.effect, rtol=0, atol=0.5)

@@ -17,7 +17,7 @@ from starwise.gnsstime import from_week_tow
 from starwise.kernels.rdss_sins import FREE, SinsFixes, SinsOut, sins_run
 from starwise.kernels.sins15 import SinsModel
 from starwise.physics.earth import curvature_radii
-from starwise.physics.rdss import RdssNoise, geostationary, rdss_covariances, round_trips, solve_rdss
+from starwise.physics.rdss import RdssNoise, RdssProtocol, geostationary, rdss_covariances, round_trips, solve_rdss
 from starwise.sim.imu import DPH, DPRH, UG, perfect_imu
 from starwise.sim.sections import Vehicle
 from starwise.sim.seeds import Streams, streams
@@ -181,8 +181,8 @@ class Scene:
         self.C_nb0 = C[0] @ states.C_eb[0]
         self.pos_e = states.pos_e
         self.sats = geostationary()
-        # pre-request at 0, first request one latency later
-        self.asked = np.arange(PERIOD, n - PERIOD + 1, PERIOD, dtype=np.int64)
+        asked, _ = RdssProtocol(latency_s=PERIOD_S).schedule(experiment.duration_s)
+        self.asked = np.rint(asked * RATE_HZ).astype(np.int64)
 
     @cached_property
     def R(self) -> F8:
