@@ -4,7 +4,7 @@ Every function writes innovations v (measured minus predicted) and rows of H (th
 error state of `starwise.kernels.ins_error`, all of it linearised at the current estimate), and leaves the covariance to
 its caller. l is the antenna's lever arm in body axes, C = C_nb, phi the attitude error::
 
-    position    p + C l + tau v                     d/d phi = -[C l x]
+    position    p + C l + tau v                     d/d phi = -[C l x],  d/d v = tau
     velocity    v + C (omega x l) + tau a           d/d phi = -[C (omega x l) x],  d/d bg = C [l x]
     constraint  C_vb (C' v) + omega_v x (axle, 0, 0) + slip terms: its components right and down are zero
     rest        v = 0;  omega = 0
@@ -75,6 +75,7 @@ def position_rows(nav: F8, est: F8, n: int, at: At, C: F8, arm: F8, fix: F8, H: 
                 H[k, at.arm + j] = C[k, j]
         if at.tau >= 0:
             H[k, at.tau] = nav[4 + k]
+            H[k, 3 + k] = est[at.tau]
             v[k] -= est[at.tau] * nav[4 + k]
 
 

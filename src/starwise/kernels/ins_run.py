@@ -137,8 +137,10 @@ def covariances(
         else:
             velocity_rows(nav, est, n, at, C, arm, omega, omega, nav, H, space.v)
         for a in range(3):
-            if at.tau >= 0:
+            if at.tau >= 0:  # of the antenna now, not of the tag
                 H[a, at.tau] = 0.0
+                if which == 0:
+                    H[a, 3 + a] = 0.0
             for j in range(n):
                 t = 0.0
                 for k in range(n):
