@@ -113,7 +113,7 @@ def test_rules(made):
     assert by["stiff", "strong_tracking"]["maneuver"] < 0.4 * by["stiff", "none"]["maneuver"]
     assert by["noise x 3", "iae_r"]["nees_steady"] < 0.3 * by["noise x 3", "none"]["nees_steady"]
     assert by["outliers", "igg3"]["steady"] < 0.6 * by["outliers", "none"]["steady"]
-    # and each harms where it is not meant for: a fading factor takes outliers for manoeuvres, a robust weight the reverse
+    # and each harms where it is not meant for: fading takes outliers for manoeuvres, a robust weight the reverse
     assert by["outliers", "fading"]["steady"] > 1.1 * by["outliers", "none"]["steady"]
     assert by["as modelled", "igg3"]["maneuver"] > 1.5 * by["as modelled", "none"]["maneuver"]
 

@@ -35,6 +35,8 @@ I8 = NDArray[np.int64]
 
 DEAD_BAND = 2.0
 """Correlation below this many of its standard deviations for white errors is taken as none."""
+NEGLIGIBLE = 1e-9
+"""Weight below which a cruise branch gives its place away."""
 SCALE_KNOWN = 60.0
 """Degrees of freedom after which the scale of the noise is good to 20 %."""
 
@@ -406,6 +408,8 @@ def bank_run(bank: Bank, t: F8, z: F8, r: F8, share: F8, out: BankOut) -> None:
                     s += w[h]
                 for h in range(H):
                     w[h] /= s
+                    if h >= M and w[h] < NEGLIGIBLE:
+                        w[h] = 0.0
         _report(x, P, w, M, e, x1, P1, out)
 
 

@@ -151,7 +151,7 @@ class Maneuvers:
     cruise_s: float = 20.0
     maneuver_s: float = 33.0
     mode_s: float = 33.0
-    branches: int = 6
+    branches: int = 4
     velocity_sigma0: float = 300.0
     scale_window: float = 100.0
     most_inflation: float = 20.0

@@ -156,17 +156,22 @@ class FederatedTask:
             ):
                 for name, solve in FILTERS.items():
                     out += rows_of(case, run, name, solve(fixes, t_s), path)
+            known = {name: [row for row in out if row["filter"] == name and row["case"] == "white"] for name in FILTERS}
             for scale in SCALES:
                 fixes = white_fixes(self.seed, run, scale=scale)
                 for name in ("least_squares", "improved"):
-                    out += rows_of(f"scale {scale:g}", run, name, FILTERS[name](fixes, t_s), path)
+                    if scale == 1.0:
+                        out += [{**row, "case": f"scale {scale:g}"} for row in known[name]]
+                    else:
+                        out += rows_of(f"scale {scale:g}", run, name, FILTERS[name](fixes, t_s), path)
             for tau in TAUS_S:
                 fixes = white_fixes(self.seed, run, tau_s=tau)
-                for name, solve in (
-                    *((k, FILTERS[k]) for k in ("least_squares", "improved")),
-                    ("taken as white", WHITE),
-                ):
-                    out += rows_of(f"tau {tau:g}", run, name, solve(fixes, t_s), path)
+                for name in ("least_squares", "improved"):
+                    if tau == 0.0:
+                        out += [{**row, "case": f"tau {tau:g}"} for row in known[name]]
+                    else:
+                        out += rows_of(f"tau {tau:g}", run, name, FILTERS[name](fixes, t_s), path)
+                out += rows_of(f"tau {tau:g}", run, "taken as white", WHITE(fixes, t_s), path)
             return out
 
         return rows
