@@ -93,7 +93,7 @@ class DelayCheck:
         Delay that the filter has not accounted for, from the innovations alone.
     p_value : float
     hidden_m : float
-        Position error (1 sigma) by delays that neither the innovations nor the prior knowledge exclude.
+        Position error (root mean square) by the delays that innovations and prior knowledge together leave possible.
     claimed_m : float
         Position sigma that the filter claims.
     verdict : {"confirmed", "wrong", "unverifiable"}
@@ -286,8 +286,9 @@ def delay_check(
         Chance of ``wrong`` without a delay.
     """
     fault = known_fault(v, S, signature)
-    sigma = 1.0 / math.sqrt(1.0 / fault.sigma**2 + 1.0 / plausible_s**2)
-    hidden = float(np.linalg.norm(np.asarray(effect, dtype=np.float64))) * sigma
+    variance = 1.0 / (1.0 / fault.sigma**2 + 1.0 / plausible_s**2)
+    mean = fault.size * variance / fault.sigma**2
+    hidden = float(np.linalg.norm(np.asarray(effect, dtype=np.float64))) * math.sqrt(variance + mean * mean)
     verdict: Verdict = "confirmed"
     if fault.p_value < false_alarm:
         verdict = "wrong"

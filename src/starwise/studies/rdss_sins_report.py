@@ -228,7 +228,7 @@ def _equivalence(result: Result) -> list[str]:
 
 
 def _blind_spot(result: Result) -> list[str]:
-    row = result["blind_spot"][0]
+    row, found, five = [r for r in result["blind_spot"] if r["method"] == "ignored"][:3]
     return [
         f"Straight and steady, an ignored delay of 1.5 s is a constant position error of 1.5 s times speed, here "
         f"{row['rms_position_m']:.0f} m. The filter cannot tell it from the error of its start and takes it into its "
@@ -238,8 +238,9 @@ def _blind_spot(result: Result) -> list[str]:
         "The added check computes what a delay of 1 s *would* have added to each innovation and to the position (the "
         "response of the filter to that change of its measurements), fits it to the innovations, and asks how large a "
         "position error could hide behind the delays that are still possible. Straight flight: `unverifiable`, "
-        "whichever way the delay is treated, because nothing in the data says which is right. Turns of two degrees are "
-        "enough to find it.",
+        "whichever way the delay is treated, because nothing in the data says which is right. Turns of two degrees show "
+        f"it in {found['delay_wrong_rate']:.0%} of the runs, of five in {five['delay_wrong_rate']:.0%}, while NIS and "
+        f"whiteness still pass in {found['both_pass_rate']:.0%} and {five['both_pass_rate']:.0%} of the windows.",
     ]
 
 
