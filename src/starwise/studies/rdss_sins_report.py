@@ -238,7 +238,7 @@ def _blind_spot(result: Result) -> list[str]:
         "The added check computes what a delay of 1 s *would* have added to each innovation and to the position (the "
         "response of the filter to that change of its measurements), fits it to the innovations, and asks how large a "
         "position error could hide behind the delays that are still possible. Straight flight: `unverifiable`, "
-        "whichever way the delay is treated, because nothing in the data says which is right. Turns of two degrees show "
+        "whichever way the delay is treated: nothing in the data says which is right. Turns of two degrees show "
         f"it in {found['delay_wrong_rate']:.0%} of the runs, of five in {five['delay_wrong_rate']:.0%}, while NIS and "
         f"whiteness still pass in {found['both_pass_rate']:.0%} and {five['both_pass_rate']:.0%} of the windows.",
     ]
