@@ -22,21 +22,13 @@ from starwise.analysis.pool import Run, pool
 from starwise.types import Truth
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--dynamics", default="static")
-    parser.add_argument("--single", action="store_true", help="one frequency only")
-    parser.add_argument("--only", default="", help="sets whose name contains this")
-    parser.add_argument("--json", action="store_true")
-    args = parser.parse_args()
-    options: dict[str, Any] = {"dynamics": args.dynamics}
-    if args.single:
-        options["combination"] = "single"
+def measure(options: dict[str, Any], only: str = "") -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """A row per set whose name contains ``only``, and what they are together."""
     rows: list[dict[str, Any]] = []
     runs: list[Run] = []
     with scratch() as folder:
         for data in STATIC:
-            if args.only not in data.name:
+            if only not in data.name:
                 continue
             point = truth_ecef(data.truth or "")
             truth = Truth(point, source=data.name)
@@ -67,11 +59,26 @@ def main() -> None:
         "sigma_ratio_mean": float(np.average([r["sigma_ratio"] for r in rows], weights=[r["sessions"] for r in rows])),
         **{k: total[k] for k in ("sessions", "coverage_50", "coverage_68", "coverage_95", "nees_mean")},
     }
+    return rows, summary
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--dynamics", default="static")
+    parser.add_argument("--single", action="store_true", help="one frequency only")
+    parser.add_argument("--only", default="", help="sets whose name contains this")
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    options: dict[str, Any] = {"dynamics": args.dynamics}
+    if args.single:
+        options["combination"] = "single"
+    rows, summary = measure(options, args.only)
     if args.json:
         print(json.dumps({"sets": rows, "pooled": summary}, indent=1))
         return
     print(
-        f"{'set':<20}{'epochs':>7}{'RTKLIB':>8}{'RMS m':>7}{'ratio':>7}   {'sessions':>8}{'95 %':>6}{'NEES':>6}{'sigma/':>8}"
+        f"{'set':<20}{'epochs':>7}{'RTKLIB':>8}{'RMS m':>7}{'ratio':>7}   "
+        f"{'sessions':>8}{'95 %':>6}{'NEES':>6}{'sigma/':>8}"
     )
     for r in rows:
         print(
