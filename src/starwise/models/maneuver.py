@@ -122,8 +122,8 @@ class AxisMotion:
 class Maneuvers:
     """Bank of hypotheses: cruise at constant velocity, or one of several manoeuvre modes (Singer).
 
-    Chosen for aircraft by what they do, then checked to be insensitive: a factor of two in any number changes the
-    steady error of the reproduced flight by less than a tenth.
+    Chosen for aircraft by what they do, then checked to be insensitive: half as much again in any number changes the
+    steady error of the reproduced flight by a tenth at most.
 
     Attributes
     ----------
