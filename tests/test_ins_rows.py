@@ -128,10 +128,8 @@ def test_update_is_the_textbook_one() -> None:
     np.testing.assert_array_equal(got, got.T)
     assert nis == pytest.approx(v @ np.linalg.solve(S, v), abs=1e-11)
     assert weight == 1.0
-    x2 = np.zeros(N)
-    nis2, weight = update(
-        P.copy(), N, H, 100.0 * v, R, 3, 5.0, x2, np.empty((3, N)), np.empty((3, N)), np.empty((3, 3))
-    )
+    x2, PH, K3, S3 = np.zeros(N), np.empty((3, N)), np.empty((3, N)), np.empty((3, 3))
+    nis2, weight = update(P.copy(), N, H, 100.0 * v, R, 3, 5.0, x2, PH, K3, S3)
     assert nis2 == pytest.approx(1e4 * nis, rel=1e-12)
     assert weight == pytest.approx(5.0 / nis2, rel=1e-12)
     np.testing.assert_allclose(x2, 100.0 * weight * (K @ v), atol=1e-11)

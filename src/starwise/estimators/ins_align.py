@@ -19,6 +19,8 @@ REST_BIAS_SIGMA = 100.0 * DPH
 """Bias of vibrating gyroscopes from their mean reading at rest, rad/s, at most as good as this."""
 LEVEL_S = 1.0
 """Time over which the acceleration of fixes is compared with the specific force, s."""
+GYROCOMPASS_S = 120.0
+"""Time at rest that gyrocompassing takes, at most: afterwards the filter does better, s."""
 NEAR_S = 2.5
 """Fixes farther apart than this are not interpolated, s."""
 
@@ -232,6 +234,7 @@ def _gyrocompass(iv: Intervals, fixes: FixTable, state: InertialState, config: I
         )
     every = config.vehicle.interval_s
     length = 1 + int(np.argmax(np.append(np.diff(iv.rest_t) > 1.5 * every, True)))
+    length = min(length, int(np.searchsorted(iv.rest_t, GYROCOMPASS_S)) + 1)
     t = float(iv.rest_t[length - 1])
     i = int(np.argmin(np.abs(fixes.t - t)))
     llh = fixes.llh[i]
