@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 
 from starwise.chi2 import chi_square_points
+from starwise.estimators.federated import fuse_states, separations, share_state, shares
 from starwise.kernels.federated import (
     LOCAL_ABSENT,
     LOCAL_OUT,
     LOCAL_USED,
-    FederatedOut,
     Locals,
-    Measured,
     Options,
     auto_shares,
-    federated_run,
     fuse,
     share_out,
 )
+from starwise.kernels.federated_run import FederatedOut, Measured, federated_run
+from starwise.types import Layout, State
 
 BASE = np.array([6.37e6, -2.1e6, 4.2e6, 0.0, 0.0, 0.0])  # m: deviations must be fused, not such numbers
 
@@ -292,3 +292,78 @@ def test_fusing_and_sharing_by_hand():
     three = np.array([np.eye(3), 1e6 * np.eye(3)])
     auto_shares(three, np.ones(2, bool), 0.1, share)
     assert share == pytest.approx([1.0 / 1.05, 0.05 / 1.05], rel=1e-4)
+
+
+# -- named beliefs
+
+
+def belief(names, seed, t_ns=0):
+    rng = np.random.default_rng(seed)
+    n = len(names)
+    A = rng.standard_normal((n, n))
+    return State(t_ns, Layout(tuple(names)), rng.standard_normal(n), A @ A.T + np.eye(n))
+
+
+COMMON = ("pos.x", "pos.y", "pos.z")
+
+
+@pytest.mark.laws
+def test_beliefs_are_fused_by_name():
+    """Information added, whatever the order of the names, and about any base."""
+    a, b = belief(("clk.G", *COMMON), 1), belief((*COMMON[::-1], "clk.R", "drift.R"), 2)
+    both = fuse_states([a, b], COMMON)
+    J = [np.linalg.inv(s.moved_to(Layout(COMMON)).P) for s in (a, b)]
+    x = [s.moved_to(Layout(COMMON)).x for s in (a, b)]
+    P = np.linalg.inv(J[0] + J[1])
+    assert np.abs(both.P - P).max() < 1e-12
+    assert np.abs(both.x - P @ (J[0] @ x[0] + J[1] @ x[1])).max() < 1e-12
+    assert np.abs(fuse_states([b, a], COMMON, base=np.full(3, 5.0)).x - both.x).max() < 1e-12
+
+
+@pytest.mark.laws
+def test_shared_then_fused_is_what_was_shared():
+    a, b = belief(("clk.G", *COMMON), 3), belief((*COMMON, "clk.R"), 4)
+    whole = fuse_states([a, b], COMMON)
+    shared = [share_state(s, whole, beta) for s, beta in ((a, 0.3), (b, 0.7))]
+    again = fuse_states(shared, COMMON)
+    assert np.abs(again.x - whole.x).max() < 1e-12
+    assert np.abs(again.P - whole.P).max() < 1e-12
+    assert shared[0].layout == a.layout
+    # what the clock is, given the position, has not changed
+    for before, after in ((a, shared[0]), (b, shared[1])):
+        name = next(n for n in before.layout.names if n.startswith("clk"))
+        G = [s.moved_to(Layout((*COMMON, name))).P for s in (before, after)]
+        regression = [M[3, :3] @ np.linalg.inv(M[:3, :3]) for M in G]
+        assert np.abs(regression[0] - regression[1]).max() < 1e-10
+        rest = [M[3, 3] - M[3, :3] @ np.linalg.inv(M[:3, :3]) @ M[:3, 3] for M in G]
+        assert rest[0] == pytest.approx(rest[1])
+
+
+def test_separation_is_chi_square():
+    """Mean 3 for beliefs that are as good as they say; large for one that is not."""
+    rng = np.random.default_rng(5)
+    seen = []
+    for _ in range(300):
+        beliefs = []
+        for k in range(3):
+            s = belief(COMMON, k)
+            beliefs.append(State(0, s.layout, np.linalg.cholesky(s.P) @ rng.standard_normal(3), s.P))
+        seen.append(separations(beliefs, COMMON))
+    assert np.mean(seen, axis=0) == pytest.approx([3.0, 3.0, 3.0], rel=0.2)
+    beliefs[1] = beliefs[1].plus(np.full(3, 50.0))
+    far = separations(beliefs, COMMON)
+    assert far.argmax() == 1
+    assert np.isnan(separations(beliefs[:1], COMMON)).all()
+
+
+def test_shares_and_bad_beliefs():
+    a, b = belief(COMMON, 6), belief(COMMON, 7)
+    assert shares([a, b], COMMON).sum() == pytest.approx(1.0)
+    with pytest.raises(ValueError, match="one time"):
+        fuse_states([a, belief(COMMON, 7, t_ns=5)], COMMON)
+    with pytest.raises(ValueError, match="one time"):
+        fuse_states([], COMMON)
+    with pytest.raises(ValueError, match="singular"):
+        fuse_states([State(0, a.layout, a.x, np.zeros((3, 3)))], COMMON)
+    with pytest.raises(ValueError, match="not positive"):
+        share_state(a, b, 0.0)

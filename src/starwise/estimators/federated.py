@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from starwise.kernels import federated as kernel
+from starwise.kernels import federated_isolation
 from starwise.types import F8, Layout, State
 
 
@@ -88,12 +89,9 @@ def separations(beliefs: Sequence[State], common: Sequence[str], tested: int = 3
     there is nothing to compare with.
     """
     x, P = _stacked(beliefs, common)
-    K, n = x.shape
-    use = np.ones(K, dtype=np.bool_)
-    A, B = np.zeros((n, n)), np.zeros((n, n))
-    if K < 2:
-        return np.full(K, np.nan)
-    return np.array([kernel.separation(x, P, use, k, n, tested, A, B) for k in range(K)])
+    every, out = np.ones(len(beliefs), dtype=np.bool_), np.empty(len(beliefs))
+    federated_isolation.separations(x, P, every, every, len(common), tested, out)
+    return out
 
 
 def _stacked(beliefs: Sequence[State], common: Sequence[str]) -> tuple[F8, F8]:

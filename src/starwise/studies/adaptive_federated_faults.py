@@ -2,7 +2,7 @@
 
 Linear in the deviation from a known straight flight: lines of sight are those of simulated GPS, GLONASS, Galileo and
 BeiDou, the receiver's clock is one TCXO for all, codes are white. Everything that isolates is
-`starwise.kernels.federated`; the centralised filter is the same kernel with one local filter that carries all clocks.
+`starwise.kernels.federated_run`; the centralised filter is the same with one local filter that carries all clocks.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,8 @@ from starwise.chi2 import chi_square_points
 from starwise.constants import NS
 from starwise.frames import ecef_from_geodetic, rotations_ne_enu
 from starwise.gnsstime import parse_time
-from starwise.kernels.federated import LOCAL_OUT, FederatedOut, Locals, Measured, Options, federated_run
+from starwise.kernels.federated import LOCAL_OUT, Locals, Options
+from starwise.kernels.federated_run import FederatedOut, Measured, federated_run
 from starwise.models.process import CLOCKS, Motion, matrices
 from starwise.sim.sections import Constellation, Sky
 from starwise.sim.seeds import streams
