@@ -4,6 +4,7 @@ The main entry points, imported when first used so that ``import starwise`` cost
 
 * `solve`: observation, navigation and orbit files in, a `Solution` out;
 * `assess`: errors of a solution against the truth; `pool`: the covariances of many runs against theirs;
+* `fuse_files`: position fixes of several receivers in, one solution out;
 * `read_obs`, `read_nav`, `read_sp3`, `read_clk`, `read_pos`, `read_solution`, `read_truth`: files as nouns;
 * `write_results`: a solution as files;
 * `RunConfig`, `Solution`, `Observations`, `StarwiseError`: the nouns.
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from starwise.io.rinex_obs import read_obs
     from starwise.io.sp3 import read_sp3
     from starwise.io.truth import read_truth
+    from starwise.studies.fusing import fuse_files
     from starwise.types import BroadcastRecords, Observations, Solution, Truth
 
 _HOME = {
@@ -32,6 +34,7 @@ _HOME = {
     "assess": "api",
     "info": "api",
     "pool": "api",
+    "fuse_files": "studies.fusing",
     "RunConfig": "config",
     "load_config": "config",
     "StarwiseError": "errors",
@@ -58,6 +61,7 @@ __all__ = [
     "Truth",
     "__version__",
     "assess",
+    "fuse_files",
     "info",
     "load_config",
     "pool",
