@@ -11,7 +11,7 @@ import pytest
 from starwise import cli
 from starwise.analysis.consistency import coverage, pass_region
 from starwise.errors import StarwiseError
-from starwise.kernels.sins15 import N0, linear_model
+from starwise.kernels.sins15 import N0, linear_model, new_mind, roll
 from starwise.physics.rdss import RdssNoise
 from starwise.studies.rdss_sins import reproduce_rdss_sins
 from starwise.studies.rdss_sins_runs import LAGS, WAYS, WINDOW, K, check_of, window_counts
@@ -86,6 +86,28 @@ def test_transitions_are_those_of_the_navigator(brief: Scene) -> None:
             ends.append(np.concatenate([run.velocity_error[0], run.position_error[0]]))
         expected = (total[:, :7] @ np.array(dx))[3:7]
         np.testing.assert_allclose(ends[0] - ends[1], expected, rtol=2e-3, atol=2e-4 * np.abs(expected).max())
+    bias_g, bias_a = np.array([3e-6, -2e-6, 1e-6]), np.array([1e-4, -2e-4, 0.0])
+    ends = []
+    for on in (0.0, 1.0):
+        readings = (brief.perfect.gyro + on * bias_g / RATE_HZ, brief.perfect.accel + on * bias_a / RATE_HZ)
+        run = Scene.filtered(brief, Measured(*readings, brief.nav0(), at_end), "free")
+        ends.append(np.concatenate([run.velocity_error[0], run.position_error[0]]))
+    kept = np.eye(N0)  # biases without decay
+    for j in range(T):
+        step = Phi[j].copy()
+        step[13:, 13:] = np.eye(2)
+        kept = step @ kept
+    expected = (kept[:, 7:10] @ bias_g + kept[:, 13:] @ bias_a[:2])[3:7]
+    np.testing.assert_allclose(ends[0] - ends[1], expected, rtol=5e-3, atol=2e-3 * np.abs(expected).max())
+    np.testing.assert_array_equal(Phi[:, :7, 10:13], Phi[:, :7, 7:10])
+    decay = np.exp(-EVERY / RATE_HZ / SinsErrors().tau_s)
+    np.testing.assert_allclose(Phi[:, range(10, N0), range(10, N0)], decay, rtol=1e-14)
+    mind = new_mind(N0)
+    mind.nav[:] = brief.nav0()
+    mind.bias[:] = 1e-9
+    track = np.zeros((T * EVERY + 1, 4))
+    roll(mind, brief.perfect.gyro, brief.perfect.accel, 0, 100, brief.model(), np.eye(N0), track, False)
+    np.testing.assert_allclose(mind.bias, 1e-9 * np.array([1.0] * 3 + [decay ** (100 / EVERY)] * 5), rtol=1e-12)
 
 
 @pytest.mark.laws
