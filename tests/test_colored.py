@@ -185,7 +185,7 @@ def test_a_clock_system_that_vanishes_and_returns():
 def work_space(m, size):
     ints, pairs = np.zeros((3, m), np.int64), np.zeros((4, m, 2))
     los, vectors = np.zeros((2, m, 3)), np.zeros((3, size))
-    return Work(*ints, *los, *pairs, np.zeros(m, np.uint8), *vectors, np.zeros(m))
+    return Work(*ints, *los, *pairs, np.zeros(m, np.uint8), *vectors, np.zeros(m), np.zeros(1000))
 
 
 def whole(P, n):

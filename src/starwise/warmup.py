@@ -195,7 +195,7 @@ def _filter() -> None:
     ints, pair, line = np.zeros(1, np.int64), np.zeros((1, 2)), np.zeros((1, 3))
     work = Work(
         ints, ints, ints, line, line, pair, pair, pair, pair, np.zeros(1, np.uint8),
-        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(1),
+        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(1), np.zeros(1),
     )  # fmt: skip
     x, P, x2, P2 = np.zeros(n), np.zeros((n, n)), np.zeros(n), np.zeros((n, n))
     belief = Belief(x, P, np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1, np.int64))

@@ -28,7 +28,7 @@ def filter_options(config: RunConfig, motion: Motion, clocks: Clocks) -> FilterO
         sequential=config.method != "ekf",
         gate1=float(gate[1]),
         gate2=float(gate[2]),
-        chi2=chi_square_table(EPOCH_FALSE_ALARM),
+        chi2=chi_square_table(EPOCH_FALSE_ALARM, 400),
         patience=PATIENCE,
         velocity_sigma0=motion.velocity_sigma0,
         acceleration_sigma0=motion.acceleration_sigma0,
@@ -119,7 +119,7 @@ def filter_rows(
         np.array(x0, dtype=np.float64),
         np.array(P0, dtype=np.float64),
         *(colored or no_errors()),
-        MAX_SLOTS,
+        max(MAX_SLOTS, int(np.diff(epochs.offsets).max(initial=0))),
         ep,
         out,
     )

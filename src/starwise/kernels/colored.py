@@ -14,6 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from starwise.constants import ROW_USED
 from starwise.kernels._jit import njit
 from starwise.kernels.error_states import (
     EAST,
@@ -87,11 +88,12 @@ def code_states(
         k = _add(idx, val, k, base + NORTH, g * mapping * sigma * math.cos(az))
         k = _add(idx, val, k, base + EAST, g * mapping * sigma * math.sin(az))
     band = 0 if freq > UPPER_BAND_HZ else 1
-    k = _add(idx, val, k, base + SLOPE + band, errors.slope * (1.0 / max(s, 0.1) - 1.5))
+    factor = rows.noise_factor[i]  # above one: combination of two signals, independent in what follows
+    k = _add(idx, val, k, base + SLOPE + band, factor * errors.slope * (1.0 / max(s, 0.1) - 1.5))
     bias = extra.bias2[i] if second else extra.bias1[i]
     if bias >= 0:
         k = _add(idx, val, k, base + N_SKY + bias, errors.receiver_bias)
-    sigma = errors.signal_bias[system]
+    sigma = factor * errors.signal_bias[system]
     k = _add(idx, val, k, first + (errors.signal2 if second else SIGNAL), sigma)
     state = errors.multipath2 if second else errors.multipath1
     if state >= 0:
@@ -99,6 +101,22 @@ def code_states(
     else:
         white += multipath * multipath
     return k, white, part
+
+
+@njit
+def predicted_errors(
+    errors: ErrorModel, rows: Rows, extra: ErrorRows, out: RowModel, m: int, x: F8, base: int, slots: Slots,
+    scale: float, work: Work,
+) -> None:  # fmt: skip
+    """Sum of the lasting errors of the first code of each satellite in ``work.order``, into ``work.lasting``; m."""
+    idx, val = np.zeros(K_MAX, np.int64), np.zeros(K_MAX)
+    for q in range(m):
+        i = work.order[q]
+        count, _, _ = code_states(errors, rows, extra, out, i, False, base, slots.at[extra.sv[i]], scale, idx, val)
+        total = 0.0
+        for k in range(4, count):
+            total += val[k] * x[idx[k]]
+        work.lasting[i] = total
 
 
 @njit
@@ -267,7 +285,8 @@ START_SIGMA_M = 1000.0
 @njit
 def start_colored(
     options: FilterOptions, errors: ErrorModel, rows: Rows, extra: ErrorRows, out: RowModel, start: int, end: int,
-    nk: int, t_ns: int, xs: F8, vel: F8, tie_var: F8, doubt: float, belief: Belief, slots: Slots, x1: F8, work: Work,
+    nk: int, t_ns: int, xs: F8, vel: F8, tie: F8, tie_var: F8, doubt: float, belief: Belief, slots: Slots,
+    x1: F8, work: Work,
 ) -> int:  # fmt: skip
     """Belief from the satellites that least squares used, weighted with the full covariance of their errors.
 
@@ -280,8 +299,9 @@ def start_colored(
         Position and clocks of least squares, NaN for clocks not seen.
     vel : (4,)
         Velocity and drift, NaN: not known.
-    tie_var : (n_clocks,)
-        What was known before of each clock against the first one; NaN: nothing.
+    tie, tie_var : (n_clocks,)
+        Each clock against the first one as known before, m, and its variance; NaN: not known. They count where there
+        are too few satellites to estimate every clock; else the start would believe an offset that may have stepped.
     doubt : float
         Factor on the resulting covariance.
 
@@ -300,6 +320,9 @@ def start_colored(
             belief.seen_ns[k] = t_ns
             nc += 1
     base = nk + 2 * nc
+    usable, first = 0, -1
+    for i in range(start, end):
+        usable += 1 if out.status[i] == ROW_USED else 0
     for i in range(base):
         x[i] = 0.0
         for j in range(base):
@@ -322,7 +345,13 @@ def start_colored(
         for j in range(nc):
             P[c, nk + j] = START_SIGMA_M**2
             P[c + nc, nk + nc + j] = options.drift_sigma0**2
-        P[c, c] += tie_var[k] if tie_var[k] == tie_var[k] else options.intersystem_sigma0**2
+        if first < 0 and tie[k] == tie[k]:
+            first = k
+        if usable < 3 + nc and first >= 0 and tie[k] == tie[k]:
+            x[c] = xs[3 + first] + (tie[k] - tie[first])
+            P[c, c] += tie_var[k]
+        else:
+            P[c, c] += options.intersystem_sigma0**2
         P[c + nc, c + nc] += options.intersystem_drift_sigma0**2
     for i in range(start, end):
         if not known or out.rate_used[i] == 0:

@@ -173,10 +173,16 @@ def _remove(errors: ErrorModel, slots: Slots, x: F8, P: F8, base: int, s: int) -
 def enter_satellites(
     errors: ErrorModel, extra: ErrorRows, order: I8, m: int, t_ns: int, slots: Slots, x: F8, P: F8, base: int
 ) -> None:  # fmt: skip
-    """Satellites absent for long leave the state, those that appear enter it with what is known of any."""
+    """Satellites absent for long leave the state, those that appear enter it with what is known of any.
+
+    Where there are no slots left, the satellite seen longest ago leaves; there are as many slots as an epoch has rows.
+    """
     for s in range(slots.size[0] - 1, -1, -1):
         if (t_ns - slots.seen_ns[s]) * 1e-9 > errors.absent_s:
             _remove(errors, slots, x, P, base, s)
+    for k in range(m):  # first those that have a slot, so that none of them makes room for another
+        if slots.at[extra.sv[order[k]]] >= 0:
+            slots.seen_ns[slots.at[extra.sv[order[k]]]] = t_ns
     for k in range(m):
         sv = extra.sv[order[k]]
         if slots.at[sv] < 0:
@@ -295,16 +301,17 @@ def signal_sigmas(
 ) -> tuple[float, float, float]:
     """Variance of white noise (m^2), standard deviation of multipath (m), and the part of both that is scaled.
 
-    Reflected and diffracted signals are weak, and late by the size of streets.
+    Reflected and diffracted signals are weak, and late by the size of streets. A combination of signals amplifies
+    what is their own by ``factor``.
     """
     s = max(math.sin(el), 0.05)
     low = 1.0
     if cn0 == cn0 and cn0 < 45.0:
         low = 10.0 ** ((45.0 - max(cn0, 10.0)) / 10.0)
-    weak = weak_sigma(errors, cn0) ** 2
+    weak = (weak_sigma(errors, cn0) * factor) ** 2
     a = errors.code_white[system] * factor
     white = scale * a * a * (0.5 * low + 0.5 / (s * s))
-    b = scale * (errors.multipath_sigma[system] / s) ** 2
+    b = scale * (errors.multipath_sigma[system] * factor / s) ** 2
     part = (white + b) / (white + b + weak)
     return white + (1.0 - errors.weak_share) * weak, math.sqrt(b + errors.weak_share * weak), part
 

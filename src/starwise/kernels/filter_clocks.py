@@ -35,7 +35,7 @@ def _lead_with(rows: Rows, out: RowModel, m: int, x: F8, nk: int, at: I8, middle
     for k in range(m):
         i = work.order[k]
         if at[rows.clock[i]] >= 0:
-            off = abs(code_innovation(rows, out, i, x, nk + at[rows.clock[i]]) - middle)
+            off = abs(code_innovation(rows, out, i, x, nk + at[rows.clock[i]], work.lasting) - middle)
             if off < best_off:
                 best, best_off = k, off
     if best > 0:
@@ -75,7 +75,7 @@ def align_clocks(
         if at[rows.clock[i]] < 0:
             continue
         c = nk + at[rows.clock[i]]
-        v1 = code_innovation(rows, out, i, x, c)
+        v1 = code_innovation(rows, out, i, x, c, work.lasting)
         work.v[k, 0] = v1
         work.sorted[count] = v1
         count += 1
@@ -176,7 +176,7 @@ def activate_clocks(
         for j in range(m):
             i = work.order[j]
             if rows.clock[i] == k:
-                v1 = code_innovation(rows, out, i, belief.x, c)
+                v1 = code_innovation(rows, out, i, belief.x, c, work.lasting)
                 work.sorted[n_sat] = v1
                 var += out.code_var[i]
                 n_sat += 1

@@ -29,10 +29,12 @@ SAGNAC = OMEGA_E_GPS / C_LIGHT
 
 
 @njit
-def code_innovation(rows: Rows, out: RowModel, i: int, x: F8, c: int) -> float:
-    """Innovation of the code of row i at state x, clock at element c; m."""
+def code_innovation(rows: Rows, out: RowModel, i: int, x: F8, c: int, lasting: F8) -> float:
+    """Innovation of the code of row i at state x, clock at element c, with the lasting errors of rows; m."""
     rho, sagnac, _, _, _ = range_los(x[0], x[1], x[2], rows.sat_pos[i, 0], rows.sat_pos[i, 1], rows.sat_pos[i, 2])
-    return float(rows.code_m[i] - (rho + sagnac + x[c] - rows.clock_m[i] + out.troposphere[i] + out.ionosphere[i]))
+    return float(
+        rows.code_m[i] - (rho + sagnac + x[c] - rows.clock_m[i] + out.troposphere[i] + out.ionosphere[i]) - lasting[i]
+    )
 
 
 @njit

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from starwise.constants import EPOCH_COASTED, EPOCH_NO_SOLUTION, EPOCH_OK, EPOCH_RESET, EPOCH_SUSPECT
 from starwise.kernels._jit import njit
-from starwise.kernels.colored import start_colored, update_colored
+from starwise.kernels.colored import predicted_errors, start_colored, update_colored
 from starwise.kernels.error_states import (
     N_SKY,
     ErrorModel,
@@ -43,6 +43,7 @@ TRIAL_EPOCHS = 10  # agreeing epochs, and time, that the codes alone have to det
 TRIAL_NS = 10_000_000_000
 SOON_EPOCHS = 30  # starts within so many epochs, or so much time, of each other have a common cause
 SOON_NS = 60_000_000_000
+MAX_CLOCK_VAR = 1e14  # m^2; beyond, rounding (1e-16 of it) would reach the variance of a code
 MAX_STRIKES = 2  # starts soon after each other with rates that contradict codes that agree: rates are ignored
 
 
@@ -121,8 +122,9 @@ def restart(
             out.rate_used[i] = 0
     if errors.on:
         nc = start_colored(
-            options, errors, rows, extra, out, start, end, nk, t_ns, xs, vel, tie_var, doubt, belief, slots, x2, work
-        )
+            options, errors, rows, extra, out, start, end, nk, t_ns, xs, vel, tie, tie_var, doubt, belief, slots,
+            x2, work,
+        )  # fmt: skip
     else:
         nc = start_filter(options, nk, t_ns, xs, Ps, vel, Pv, doubt, belief)
     _write(e, nk, nc, errors.floor, belief, ep)
@@ -175,7 +177,7 @@ def filter_run(
     los, vectors = np.zeros((2, m_max, 3)), np.zeros((4, size))
     work = Work(
         ints[0], ints[1], ints[2], los[0], los[1], pairs[0], pairs[1], pairs[2], pairs[3],
-        np.zeros(m_max, np.uint8), vectors[0], vectors[1], vectors[2], np.zeros(m_max),
+        np.zeros(m_max, np.uint8), vectors[0], vectors[1], vectors[2], np.zeros(m_max), np.zeros(len(rows.code_m)),
     )  # fmt: skip
     belief = Belief(
         np.zeros(size), np.zeros((size, size)), np.full(n_all, -1, np.int64), np.zeros(n_all, np.int64),
@@ -208,7 +210,7 @@ def filter_run(
         lost, dt = not running, 0.0
         m = 0
         if running:
-            dt = (t_ns - t_last) * 1e-9
+            dt = max((t_ns - t_last) * 1e-9, 0.0)  # variances do not shrink, whatever a caller takes for time
             if dt != dt_known:
                 motion(process.kind, dt, process.tau_s, F, G)
                 dt_known = dt
@@ -216,7 +218,7 @@ def filter_run(
             predict(x, P, nk, nc, dt, process, F, G, M)
             if errors.on:
                 predict_errors(errors, slots, x, P, nk, nc, dt, F, phi)
-            lost = not P[0, 0] + P[1, 1] + P[2, 2] < options.lost_sigma_m**2
+            lost = not P[0, 0] + P[1, 1] + P[2, 2] < options.lost_sigma_m**2 or not P[nk, nk] < MAX_CLOCK_VAR
         if options.memoryless:
             running, lost, failed = False, True, 0
         t_last = t_ns
@@ -252,7 +254,7 @@ def filter_run(
                 for i in range(n):
                     for j in range(n):
                         P[i, j] *= 4.0
-            if P[0, 0] + P[1, 1] + P[2, 2] > 1e12:
+            if P[0, 0] + P[1, 1] + P[2, 2] > 1e12 or not P[nk, nk] < MAX_CLOCK_VAR:
                 running = False
                 ep.status[e] = EPOCH_NO_SOLUTION
                 continue
@@ -263,12 +265,15 @@ def filter_run(
         if ep.rates[e] != FILTER_RATES_USED:
             for k in range(m):
                 out.rate_var[work.order[k]] = np.inf
+        if errors.on:
+            base = nk + 2 * nc
+            enter_satellites(errors, extra, work.order, m, t_ns, slots, x, P, base)
+            predicted_errors(errors, rows, extra, out, m, x, base, slots, slots.scale[0], work)
         if m > 0:
             tail = n_errors(errors, slots)
             align_clocks(options, rows, out, m, x, P, nk, nc, tail, at, work)
             nc = activate_clocks(options, rows, out, m, t_ns, nk, nc, tail, belief, x2, P2, work)
         if errors.on:
-            enter_satellites(errors, extra, work.order, m, t_ns, slots, x, P, nk + 2 * nc)
             nis, dof = update_colored(options, errors, rows, extra, out, m, x, P, nk, nc, at, slots, dt, x2, work)
         else:
             nis, dof = update_epoch(options, rows, out, m, x, P, nk, nc, at, x2, P2, work)

@@ -58,6 +58,7 @@ class Work(NamedTuple):
     b: F8
     dx: F8
     sorted: F8
+    lasting: F8  # (n_rows,) predicted sum of the lasting errors of each code, m; zeros where errors are white
 
 
 @njit
