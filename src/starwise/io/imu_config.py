@@ -13,7 +13,8 @@ from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 
-from starwise.config import Checked, Positive, Range, _merged, _with_file, _with_line, read_toml
+from starwise.checked import Checked, Positive, Range, read_toml, with_file, with_line
+from starwise.checked import merged as merge
 from starwise.errors import StarwiseError
 from starwise.gnsstime import parse_time
 from starwise.physics.earth import STANDARD_GRAVITY
@@ -266,12 +267,12 @@ def load_imu_config(where: str | Path, options: Mapping[str, Any] | None = None)
     try:
         return ImuFile.from_dict(data, file=str(path))
     except StarwiseError as error:
-        raise (_with_line(error, path) if path.is_file() else _with_file(error, str(path))) from None
+        raise (with_line(error, path) if path.is_file() else with_file(error, str(path))) from None
 
 
 def _over(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     """Merged tables, where a rotation replaces the base's axes and the other way round."""
-    merged = _merged(base, over)
+    merged = merge(base, over)
     for one, other in (("axes", "rotation"), ("rotation", "axes")):
         if one in over and other not in over:
             merged.pop(other, None)
