@@ -1,4 +1,4 @@
-"""A world that is exactly the coloured error model, or exactly white, on a sky of the simulator: is the filter honest?
+"""Worlds that are exactly the coloured error model, or exactly white, on a sky of the simulator.
 
 In the first the mean NEES of the position over independent runs must lie inside its chi-square interval; in the
 second the coloured filter, which is wrong there, must not lose much against a white filter with the right variance.
