@@ -17,6 +17,8 @@ COURSE_SIGMA = math.radians(2.0)
 """Direction of motion as heading of the vehicle, beside the noise of the velocity, rad."""
 REST_BIAS_SIGMA = 100.0 * DPH
 """Bias of vibrating gyroscopes from their mean reading at rest, rad/s, at most as good as this."""
+REST_SPEED = 0.15
+"""Speed of fixes at rest, at most, m/s."""
 LEVEL_S = 1.0
 """Time over which the acceleration of fixes is compared with the specific force, s."""
 GYROCOMPASS_S = 120.0
@@ -195,7 +197,7 @@ def _moving_start(
         # heading of the body = course + mount yaw: one error
         P[2, state.at.mount + 1] = P[state.at.mount + 1, 2] = mount**2
     P[3:6, 3:6] = (fixes.vel_cov[at_v] if len(fixes.tv) else np.eye(3)) + 0.1 * np.eye(3)
-    return _started(iv, t, llh, v, C, P, state, config)
+    return _started(iv, fixes, t, llh, v, C, P, state, config)
 
 
 def _covariance(state: InertialState, config: InertialConfig, fixes: FixTable, t: float) -> F8:
@@ -207,15 +209,15 @@ def _covariance(state: InertialState, config: InertialConfig, fixes: FixTable, t
 
 
 def _started(
-    iv: Intervals, t: float, llh: F8, v: F8, C: F8, P: F8, state: InertialState, config: InertialConfig,
-    biases: bool = True,
+    iv: Intervals, fixes: FixTable, t: float, llh: F8, v: F8, C: F8, P: F8, state: InertialState,
+    config: InertialConfig, biases: bool = True,
 ) -> Start:  # fmt: skip
     """Antenna to sensor; gyro biases from rest before the start, if asked for and if there was any."""
     est = state.mean.copy()
-    rest = iv.rest_gyro[iv.rest_t <= t]
-    if biases and len(rest):
+    rest = _at_rest(iv, fixes, t) if biases else np.zeros((0, 3))
+    if len(rest):
         at = state.at.bgc if state.at.bgc >= 0 else 9
-        est[at : at + 3] = rest.mean(axis=0)
+        est[at : at + 3] = np.median(rest, axis=0)
         sigma = max(REST_BIAS_SIGMA if config.gyro.vibration > 0.0 else 0.0, OMEGA_IE)
         for j in range(at, at + 3):
             P[j, j] = min(P[j, j], sigma**2)
@@ -224,6 +226,16 @@ def _started(
     scale = np.array([1.0 / (R_M + llh[2]), 1.0 / ((R_N + llh[2]) * math.cos(llh[0])), -1.0])
     nav = np.concatenate([quaternion(C), v, llh - arm * scale])
     return Start(t, nav, est, P)
+
+
+def _at_rest(iv: Intervals, fixes: FixTable, t: float) -> F8:
+    """Mean gyro readings of windows of rest before t: quiet, and no fix that moves (a slow curve is quiet, too)."""
+    tv, vel = (fixes.tv, fixes.vel) if len(fixes.tv) > 1 else _differences(fixes)
+    if len(tv) == 0:
+        return np.zeros((0, 3))
+    speed = np.interp(iv.rest_t, tv, np.hypot(vel[:, 0], vel[:, 1]))
+    known = (iv.rest_t >= tv[0]) & (iv.rest_t <= t) & (speed < REST_SPEED)
+    return np.asarray(iv.rest_gyro[known])
 
 
 def _gyrocompass(iv: Intervals, fixes: FixTable, state: InertialState, config: InertialConfig) -> Start:
@@ -257,7 +269,7 @@ def _gyrocompass(iv: Intervals, fixes: FixTable, state: InertialState, config: I
     P[0, 0] = P[1, 1] = tilt**2 + (1e-5) ** 2
     P[2, 2] = heading**2
     P[3:6, 3:6] = 0.01 * np.eye(3)
-    return _started(iv, t, llh, np.zeros(3), C, P, state, config, biases=False)
+    return _started(iv, fixes, t, llh, np.zeros(3), C, P, state, config, biases=False)
 
 
 def _triad(first: F8, second: F8) -> F8:
