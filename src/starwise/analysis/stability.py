@@ -1,0 +1,408 @@
+"""Stability of a filter: what becomes of an error of its start, or of a disturbance of its state.
+
+An error e of the state, without noise, goes through  Psi_k = (I - K_k H_k) Phi_k  (Gao, Tan 2007, eq. 13-15):
+
+    e_k = Psi_k Psi_{k-1} .. Psi_1 e_0
+
+* The spectral radius of each Psi_k is what the paper judges by (lemma 1). It is neither necessary nor sufficient for
+  a time-varying filter: products of matrices with radii below 1 can grow, and those above 1 shrink.
+* The verdict comes from the products: their growth (largest norm, scaled so that metres and radians compare) and
+  their Lyapunov exponent, the mean rate of the growth of almost every error.
+* With optimal gains and V = e' P^-1 e, V never grows (Deyst, Price 1968). So a norm of the product in units of P is at
+  most 1; where it stays 1, something is never corrected. Growth in metres happens inside of V <= 1, where P is large.
+
+Where Phi, Q, H, R do not change, the gain goes to that of the discrete algebraic Riccati equation (DARE), and the
+spectral radius of *that* Psi decides.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from starwise.analysis.stability_system import LinearSystem, Step
+from starwise.types import F8, Layout
+
+Verdict = Literal["asymptotically stable", "stable", "not stable"]
+UNIT: Final = 1e-9
+"""Spectral radii this near to 1 count as 1: eigenvalues of a double root are no better than 1e-8, single ones 1e-13."""
+
+
+@dataclass(frozen=True)
+class SteadyState:
+    """Where a time-invariant filter goes.
+
+    Attributes
+    ----------
+    before, P : (n, n) float64
+        Covariance before and after the measurements.
+    K : (n, m) float64
+    Psi : (n, n) float64
+    spectral_radius : float
+        Of Psi.
+    """
+
+    before: F8
+    P: F8
+    K: F8
+    Psi: F8
+    spectral_radius: float
+
+
+@dataclass(frozen=True)
+class Growth:
+    """What a unit error of some states becomes, at worst, in those states.
+
+    Attributes
+    ----------
+    states : str
+        Like ``pos``.
+    factor : float
+        Largest ||block of the product||_2, over all starts tried and all later steps; at least 1.
+    start_s, after_s : float
+        When the error entered, and how long it took to become so large.
+    last : float
+        The factor at the end of the run, of the same start.
+    """
+
+    states: str
+    factor: float
+    start_s: float
+    after_s: float
+    last: float
+
+
+@dataclass(frozen=True)
+class Stability:
+    """Error dynamics of a filter over a run.
+
+    Attributes
+    ----------
+    layout : Layout
+    period_s : float
+    spectral_radius : (N,) float64
+        Of Psi_k.
+    norm : (N,) float64
+        ||Psi_k||_2, states in units of ``scale``.
+    scale : (n,) float64
+    product_norm : (N,) float64
+        ||Psi_k .. Psi_1||_2, scaled.
+    product_norm_P : (N,) float64
+        The same in units of P: ||P_k^-1/2 Psi_k .. Psi_1 P_0^1/2||_2; NaN without covariances.
+    window : int
+        Steps of the windows of ``window_norm`` and ``window_radius``.
+    window_norm, window_radius : (N // window,) float64
+        Of the products over consecutive windows.
+    exponents_per_s : (n,) float64
+        Lyapunov exponents over the second half of the run, falling, 1/s.
+    growth : tuple of Growth
+        Transient growth by groups of states.
+    steady : SteadyState or None
+        Where the system is time-invariant, with optimal gains, and has one.
+    limit_radius : float or None
+        Spectral radius that holds for ever: of the steady state, or of Psi where it never changes.
+    """
+
+    layout: Layout
+    period_s: float
+    spectral_radius: F8
+    norm: F8
+    scale: F8
+    product_norm: F8
+    product_norm_P: F8
+    window: int
+    window_norm: F8
+    window_radius: F8
+    exponents_per_s: F8
+    growth: tuple[Growth, ...]
+    steady: SteadyState | None
+    limit_radius: float | None
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the run, s."""
+        return len(self.spectral_radius) * self.period_s
+
+    @property
+    def exponent_per_s(self) -> float:
+        """Largest Lyapunov exponent, 1/s."""
+        return float(self.exponents_per_s[0])
+
+    @property
+    def verdict(self) -> Verdict:
+        """Judged by what the run shows.
+
+        Time-invariant: the spectral radius (where that is 1, the products, too). Else: asymptotically stable if errors
+        shrink at a rate that makes 1/e or less of them over the run's length; not stable if they grow by e or more;
+        else stable.
+        """
+        if self.limit_radius is not None and abs(self.limit_radius - 1.0) > UNIT:
+            return "asymptotically stable" if self.limit_radius < 1.0 else "not stable"
+        change = self.exponent_per_s * self.duration_s
+        if change <= -1.0:
+            return "asymptotically stable"
+        return "stable" if change < 1.0 else "not stable"
+
+    @property
+    def lemma1(self) -> Verdict:
+        """What the paper's lemma 1 says, by the radii alone: the second half of the run decides."""
+        late = self.spectral_radius[len(self.spectral_radius) // 2 :]
+        if (late < 1.0 - UNIT).all():
+            return "asymptotically stable"
+        return "stable" if (late <= 1.0 + UNIT).all() else "not stable"
+
+    @property
+    def worst_growth(self) -> Growth | None:
+        """Group of states with the largest transient growth."""
+        return max(self.growth, key=lambda g: g.factor, default=None)
+
+    def explain(self) -> str:
+        """Verdict, reason and warning, in words."""
+        rho = self.spectral_radius
+        late = float(rho[len(rho) // 2 :].max())
+        lead = self.exponent_per_s
+        if self.limit_radius is not None:
+            text = f"{self.verdict}: spectral radius {_radius(self.limit_radius)} for ever"
+        else:
+            rate = f"fall to 1/e in {-1.0 / lead:.0f} s" if lead < 0.0 else f"grow at {lead:.1e} 1/s"
+            if abs(lead) * self.duration_s < 1e-6:
+                rate = "neither grow nor fall"
+            text = f"{self.verdict}: in the long run errors {rate}; spectral radius up to {_radius(float(rho.max()))}, "
+            text += f"late {_radius(late)}; product over the whole run {self.product_norm[-1]:.2g}"
+        worst = self.worst_growth
+        if worst is not None and worst.factor > 2.0:
+            text += (
+                f". Before that an error of {worst.states} grows {worst.factor:.0f}-fold within {worst.after_s:.0f} s: "
+                "the spectral radius does not show this"
+            )
+        if self.lemma1 != self.verdict:
+            text += f". By spectral radii alone it would be called {self.lemma1}"
+        return text + "."
+
+
+def stability(
+    system: LinearSystem,
+    P0: F8 | None = None,
+    *,
+    scale: F8 | None = None,
+    window: int | None = None,
+    starts: int = 8,
+    groups: tuple[str, ...] | None = None,
+) -> Stability:
+    """Error dynamics of a filter.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        With the gains of the filter, or without: then P0 gives the optimal ones.
+    P0 : (n, n) array, optional
+        Covariance before the first transition.
+    scale : (n,) array, optional
+        Units of the states for norms: default the root mean square of the sigmas of the run's second half, or 1
+        without P0.
+    window : int, optional
+        Steps of the windows for products: default a tenth of the run.
+    starts : int
+        Instants, evenly spread, at which a disturbance enters for the transient growth.
+    groups : tuple of str, optional
+        Groups of states for the growth, by the part of their names before the dot; default: all of them.
+
+    Raises
+    ------
+    ValueError
+        Neither gains nor P0.
+    """
+    filtered = None if P0 is None else system.filtered(P0)
+    if filtered is not None:
+        gains = filtered.K
+    else:
+        gains = tuple(s.K for s in system.steps if s.K is not None)
+        if len(gains) < len(system):
+            raise ValueError("steps without gains need a covariance P0 to begin with")
+    n, N = system.n, len(system)
+    Psi = np.stack([(np.eye(n) - K @ s.H) @ s.Phi for K, s in zip(gains, system.steps, strict=True)])
+    if scale is None:
+        units = np.ones(n) if filtered is None else np.sqrt((filtered.sigma[N // 2 :] ** 2).mean(axis=0))
+        units = np.where(units > 0.0, units, 1.0)
+    else:
+        units = np.asarray(scale, dtype=np.float64)
+    scaled = Psi * units / units[:, None]
+    length = max(1, N // 10) if window is None else window
+    product, product_P = _products(scaled, units, None if filtered is None else filtered.P, P0)
+    window_norm, window_radius = _windows(scaled, length)
+    steady, limit = _steady_or_none(system), None
+    if steady is not None:
+        limit = steady.spectral_radius
+    elif (Psi == Psi[0]).all():
+        limit = float(spectral_radii(Psi[0]))
+    return Stability(
+        layout=system.layout,
+        period_s=system.period_s,
+        spectral_radius=spectral_radii(Psi),
+        norm=np.asarray(np.linalg.norm(scaled, 2, axis=(1, 2))),
+        scale=units,
+        product_norm=product,
+        product_norm_P=product_P,
+        window=length,
+        window_norm=window_norm,
+        window_radius=window_radius,
+        exponents_per_s=lyapunov_exponents(scaled[N // 2 :]) / system.period_s,
+        growth=transient_growth(Psi, system.layout, system.period_s, starts, groups),
+        steady=steady,
+        limit_radius=limit,
+    )
+
+
+def spectral_radii(A: F8) -> F8:
+    """Largest absolute eigenvalue of each matrix (..., n, n)."""
+    return np.asarray(np.abs(np.linalg.eigvals(A)).max(axis=-1))
+
+
+def lyapunov_exponents(Psi: F8) -> F8:
+    """Lyapunov exponents per step of a sequence of matrices (N, n, n), falling, (n,).
+
+    By QR decompositions along the way (Benettin et al. 1980). A direction that is taken to exactly 0 has -inf.
+    The first tenth turns the axes into their places and does not count.
+    """
+    Q, total, counted = np.eye(Psi.shape[-1]), np.zeros(Psi.shape[-1]), 0
+    for k, A in enumerate(Psi):
+        Q, R = np.linalg.qr(A @ Q)
+        if k >= len(Psi) // 10:
+            with np.errstate(divide="ignore"):
+                total += np.log(np.abs(np.diag(R)))
+            counted += 1
+    return np.sort(total / max(counted, 1))[::-1]
+
+
+def transient_growth(
+    Psi: F8, layout: Layout, period_s: float, starts: int = 8, groups: tuple[str, ...] | None = None
+) -> tuple[Growth, ...]:
+    """Largest factor by which an error of a group of states grows in these states, for each group.
+
+    A disturbance enters after step k, for ``starts`` values of k evenly spread over the run, and all later steps are
+    looked at.
+    """
+    stems = [name.partition(".")[0] for name in layout.names]
+    names = tuple(dict.fromkeys(stems)) if groups is None else groups
+    members = {g: np.flatnonzero([s == g for s in stems]) for g in names}
+    best = {g: Growth(g, 1.0, 0.0, 0.0, 1.0) for g in names}
+    N = len(Psi)
+    for first in sorted({N * j // starts for j in range(starts)}):
+        M = np.eye(len(layout))
+        curve = {g: np.empty(N - first) for g in names}
+        for k in range(first, N):
+            M = Psi[k] @ M
+            for g, at in members.items():
+                B = M[np.ix_(at, at)]
+                curve[g][k - first] = abs(B[0, 0]) if len(at) == 1 else math.sqrt(np.linalg.eigvalsh(B.T @ B)[-1])
+        for g in names:
+            c = curve[g]
+            k = int(c.argmax())
+            if c[k] > best[g].factor:
+                best[g] = Growth(g, float(c[k]), first * period_s, (k + 1) * period_s, float(c[-1]))
+    return tuple(best.values())
+
+
+def dare(step: Step) -> F8:
+    """Steady-state covariance *before* the measurements, (n, n): the stabilising solution of the DARE.
+
+        P = Phi (P - P H' (H P H' + R)^-1 H P) Phi' + Q
+
+    Raises
+    ------
+    ValueError
+        There is none: an unstable or constant part is not observable, or one on the unit circle has no noise.
+    """
+    from scipy.linalg import solve_discrete_are
+
+    try:
+        P = solve_discrete_are(step.Phi.T, step.H.T, step.Q, step.R_full)
+    except np.linalg.LinAlgError as error:
+        raise ValueError(f"no steady state: {error}") from None
+    for _ in range(3):  # the last digits
+        P = _riccati(step, P)
+    K = _gain(step, P)
+    Psi = (np.eye(len(P)) - K @ step.H) @ step.Phi
+    if not float(spectral_radii(Psi)) < 1.0:
+        raise ValueError("no steady state: its filter is not asymptotically stable")
+    return np.asarray(P)
+
+
+def steady_state(step: Step) -> SteadyState:
+    """Steady state of a time-invariant filter, by the DARE.
+
+    Raises
+    ------
+    ValueError
+        There is none.
+    """
+    before = dare(step)
+    K = _gain(step, before)
+    A = np.eye(len(before)) - K @ step.H
+    P = A @ before @ A.T + K @ step.R_full @ K.T
+    return SteadyState(before, 0.5 * (P + P.T), K, A @ step.Phi, float(spectral_radii(A @ step.Phi)))
+
+
+def _radius(rho: float) -> str:
+    """Radius with the digits that show how far from 1 it is."""
+    if abs(rho - 1.0) <= UNIT:
+        return "1"
+    return f"1 {'-' if rho < 1.0 else '+'} {abs(rho - 1.0):.1e}" if abs(rho - 1.0) < 0.01 else f"{rho:.3f}"
+
+
+def _gain(step: Step, before: F8) -> F8:
+    return np.asarray(np.linalg.solve(step.H @ before @ step.H.T + step.R_full, step.H @ before).T)
+
+
+def _riccati(step: Step, before: F8) -> F8:
+    K = _gain(step, before)
+    A = np.eye(len(before)) - K @ step.H
+    P = step.Phi @ (A @ before @ A.T + K @ step.R_full @ K.T) @ step.Phi.T + step.Q
+    return np.asarray(0.5 * (P + P.T))
+
+
+def _steady_or_none(system: LinearSystem) -> SteadyState | None:
+    """Steady state of a time-invariant system with optimal gains, if there is one."""
+    if not system.invariant or any(s.K is not None for s in system.steps):
+        return None
+    try:
+        return steady_state(system.steps[0])
+    except ValueError:
+        return None
+
+
+def _products(scaled: F8, units: F8, P: F8 | None, P0: F8 | None) -> tuple[F8, F8]:
+    """Norms of the products from the first step to each, scaled by units, and in units of P."""
+    N, n = len(scaled), scaled.shape[-1]
+    out, out_P = np.empty(N), np.full(N, np.nan)
+    M = np.eye(n)
+    D = np.outer(units, units)
+    L0 = None if P0 is None else _factor(P0 / D)
+    for k in range(N):
+        M = scaled[k] @ M
+        out[k] = np.linalg.norm(M, 2)
+        if P is not None and L0 is not None:
+            L = _factor(P[k] / D)
+            out_P[k] = np.linalg.norm(np.linalg.solve(L, M @ L0), 2) if L is not None else np.nan
+    return out, out_P
+
+
+def _factor(P: F8) -> F8 | None:
+    """Cholesky factor, or None where P is singular to rounding."""
+    try:
+        return np.asarray(np.linalg.cholesky(P))
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _windows(scaled: F8, length: int) -> tuple[F8, F8]:
+    """Norm and spectral radius of the products over consecutive windows."""
+    norms, radii = [], []
+    for first in range(0, len(scaled) - length + 1, length):
+        M = np.eye(scaled.shape[-1])
+        for A in scaled[first : first + length]:
+            M = A @ M
+        norms.append(float(np.linalg.norm(M, 2)))
+        radii.append(float(spectral_radii(M)))
+    return np.array(norms), np.array(radii)
