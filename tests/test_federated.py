@@ -7,6 +7,7 @@ from starwise.chi2 import chi_square_points
 from starwise.estimators.federated import fuse_states, separations, share_state, shares
 from starwise.kernels.federated import (
     LOCAL_ABSENT,
+    LOCAL_JUMPED,
     LOCAL_OUT,
     LOCAL_USED,
     Locals,
@@ -271,6 +272,22 @@ def test_a_common_ramp_hides_in_its_clock_unless_clocks_are_watched():
     assert gone[0] < 100
     quiet = run(isolating(4, clock=6, clock_gate=chi_square_points(1e-7, 2)[1]), *start, satellites(8, n))
     assert (quiet.status == LOCAL_USED).all()
+
+
+def test_a_clock_that_jumps_is_absorbed_and_named():
+    """A microsecond; the very epoch, no other filter concerned, the position as without."""
+    n = 150
+    Phi, Q, P0 = clocks(4)
+    start = ([8] * 4, [np.zeros(8)] * 4, [P0] * 4, [Phi] * 4, [Q] * 4)
+    rows = satellites(9, n)
+    calm = run(isolating(4), *start, rows)
+    moved = [
+        [(H, z + 299.8 * (k == 1 and e >= 100), r) for k, (H, z, r) in enumerate(epoch)] for e, epoch in enumerate(rows)
+    ]
+    jumped = run(isolating(4), *start, moved)
+    assert np.argwhere(jumped.status == LOCAL_JUMPED).tolist() == [[100, 1]]
+    assert (jumped.status[np.arange(n) != 100] == LOCAL_USED).all()
+    assert np.linalg.norm(jumped.x[100:, :3] - calm.x[100:, :3], axis=1).max() < 1.0  # m: one clock learnt anew
 
 
 def test_fusing_and_sharing_by_hand():

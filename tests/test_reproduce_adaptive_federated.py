@@ -129,6 +129,10 @@ def test_faults(made):
             assert row["peak_over_central"] <= 0.35
         if row["ramp"] == "common":
             assert row["peak_max_m"] < 4.0
+    for row in made[0]["faults"]["jumps"]:
+        assert row["named"] == row["runs"]
+        assert row["wrong"] == 0
+        assert row["peak_after_median_m"] < 1.5 * row["peak_before_median_m"] + 0.5
     for row in made[0]["faults"]["fault_free"]:
         assert row["false_alarms"] == 0
         assert row["rms_m"] < 1.15 * row["central_rms_m"]

@@ -13,9 +13,10 @@ With reset (sharing at every epoch) and no private states the fused estimate is 
 reset every local filter stays itself: a fault in one never reaches another, and the master is clean as soon as it
 leaves that one out. Private states carried through common process noise make the fused covariance an upper bound.
 
-A local filter is taken out when its solution separates from the fusion of the others by more than both covariances
-allow, or its innovations fail their test, for `patience` epochs; it then starts anew from the master's position with
-its own covariance, and comes back when it has agreed with the others for `probation` epochs.
+Innovations that fail their test together, and pass it once the private states are forgotten, are a clock that jumped:
+it is absorbed, and named. A local filter is taken out when its solution separates from the fusion of the others by more
+than both covariances allow, or its innovations fail their test, for `patience` epochs; it then starts anew from the
+master's position with its own covariance, and comes back when it has agreed with the others for `probation` epochs.
 """
 
 from typing import NamedTuple
@@ -35,6 +36,8 @@ LOCAL_ABSENT = 0
 LOCAL_USED = 1
 LOCAL_OUT = 2
 """Taken out by a test, on probation."""
+LOCAL_JUMPED = 3
+"""Used, its private states (a clock that jumped) being learnt anew."""
 
 
 class Options(NamedTuple):
@@ -161,6 +164,14 @@ def share_out(x: F8, P: F8, n: int, nc: int, x_g: F8, P_g: F8, beta: float, A: F
         for j in range(nc):
             P[i, j] = P_g[i, j] / beta
     return True
+
+
+@njit
+def forget_private(x: F8, P: F8, n: int, nc: int, P0: F8) -> None:
+    """Private states of a local filter as uncertain as at its start, and independent of the common ones, in place."""
+    for i in range(nc, n):
+        for j in range(n):
+            P[i, j] = P[j, i] = P0[i, j] if j >= nc else 0.0
 
 
 @njit

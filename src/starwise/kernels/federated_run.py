@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from starwise.kernels._jit import njit
 from starwise.kernels.federated import (
     LOCAL_ABSENT,
+    LOCAL_JUMPED,
     LOCAL_OUT,
     LOCAL_USED,
     Locals,
     Options,
     auto_shares,
+    forget_private,
     fuse,
     predict_local,
     share_out,
@@ -62,6 +64,23 @@ def _shares(options: Options, P: F8, active: Bool, share: F8) -> None:
 
 
 @njit
+def _copy(x: F8, P: F8, x_to: F8, P_to: F8) -> None:
+    for i in range(len(x)):
+        x_to[i] = x[i]
+        for j in range(len(x)):
+            P_to[i, j] = P[i, j]
+
+
+@njit
+def _update(x: F8, P: F8, n: int, rows: Measured, e: int, k: int, w: F8) -> float:
+    """All rows of a local filter in an epoch, one at a time; their normalised innovation squared."""
+    nis = 0.0
+    for i in range(rows.offsets[e, k], rows.offsets[e, k + 1]):
+        nis += update_row(x, P, n, rows.H[i], rows.z[i], rows.r[i], w)
+    return nis
+
+
+@njit
 def federated_run(options: Options, locals_: Locals, rows: Measured, out: FederatedOut) -> None:
     """Fused common states of every epoch.
 
@@ -80,6 +99,8 @@ def federated_run(options: Options, locals_: Locals, rows: Measured, out: Federa
     share = np.zeros(K)
     active, use = np.zeros(K, dtype=np.bool_), np.zeros(K, dtype=np.bool_)
     out_of, suspect = np.zeros(K, dtype=np.bool_), np.zeros(K, dtype=np.bool_)
+    jumped = np.zeros(K, dtype=np.bool_)
+    x_a, P_a, x_b, P_b = np.zeros(width), np.zeros((width, width)), np.zeros(width), np.zeros((width, width))
     failed, agreed = np.zeros(K, dtype=np.int64), np.zeros(K, dtype=np.int64)
     level = np.zeros((K, K, 2))
     known = False
@@ -91,7 +112,7 @@ def federated_run(options: Options, locals_: Locals, rows: Measured, out: Federa
         for k in range(K):
             out.share[e, k] = share[k]
             out.nis[e, k] = out.separation[e, k] = math.nan
-            suspect[k] = False
+            suspect[k] = jumped[k] = False
             if options.reset and known and active[k]:
                 share_out(x[k], P[k], locals_.n[k], nc, x_g, P_g, share[k], A, B)
             # one that is not asked, or on probation, is predicted by itself, with the noise of an equal share
@@ -99,12 +120,23 @@ def federated_run(options: Options, locals_: Locals, rows: Measured, out: Federa
             predict_local(x[k], P[k], locals_.n[k], nc, locals_.Phi[k], locals_.Q[k], beta, A)
             if not rows.present[e, k]:
                 continue
-            nis, m = 0.0, 0
-            for i in range(rows.offsets[e, k], rows.offsets[e, k + 1]):
-                nis += update_row(x[k], P[k], locals_.n[k], rows.H[i], rows.z[i], rows.r[i], w)
-                m += 1
+            m = rows.offsets[e, k + 1] - rows.offsets[e, k]
+            gate = options.innovation_gate[min(m, gates - 1)]
+            _copy(x[k], P[k], x_b, P_b)
+            nis = _update(x[k], P[k], locals_.n[k], rows, e, k, w)
+            if m > 0 and nis > gate and locals_.n[k] > nc:
+                # a receiver clock may jump: the same rows once more, nothing being known of the private states
+                _copy(x[k], P[k], x_a, P_a)
+                _copy(x_b, P_b, x[k], P[k])
+                forget_private(x[k], P[k], locals_.n[k], nc, locals_.P0[k])
+                again = _update(x[k], P[k], locals_.n[k], rows, e, k, w)
+                jumped[k] = again <= gate
+                if jumped[k]:
+                    nis = again
+                else:
+                    _copy(x_a, P_a, x[k], P[k])
             out.nis[e, k] = nis
-            suspect[k] = m > 0 and nis > options.innovation_gate[min(m, gates - 1)]
+            suspect[k] = m > 0 and nis > gate
         for k in range(K):
             use[k] = active[k] if options.reset else not out_of[k] and (rows.present[e, k] or known)
         if options.test_states > 0:
@@ -112,7 +144,15 @@ def federated_run(options: Options, locals_: Locals, rows: Measured, out: Federa
         if fuse(x, P, use, -1, nc, x_g, x_g, P_g, A, B):
             known = True
         for k in range(K):
-            out.status[e, k] = LOCAL_OUT if out_of[k] else (LOCAL_USED if rows.present[e, k] else LOCAL_ABSENT)
+            if jumped[k]:
+                for j in range(K):
+                    level[k, j, 1] = level[j, k, 1] = 0.0  # its clock differences begin anew
+            status = LOCAL_USED if rows.present[e, k] else LOCAL_ABSENT
+            if out_of[k]:
+                status = LOCAL_OUT
+            elif jumped[k]:
+                status = LOCAL_JUMPED
+            out.status[e, k] = status
         for i in range(nc):
             out.x[e, i] = x_g[i]
             for j in range(nc):

@@ -13,10 +13,10 @@ from typing import Any, Final
 import numpy as np
 
 from starwise.chi2 import chi_square_points
-from starwise.constants import NS
+from starwise.constants import C_LIGHT, NS
 from starwise.frames import ecef_from_geodetic, rotations_ne_enu
 from starwise.gnsstime import parse_time
-from starwise.kernels.federated import LOCAL_OUT, Locals, Options
+from starwise.kernels.federated import LOCAL_JUMPED, LOCAL_OUT, LOCAL_USED, Locals, Options
 from starwise.kernels.federated_run import FederatedOut, Measured, federated_run
 from starwise.models.process import CLOCKS, Motion, matrices
 from starwise.sim.sections import Constellation, Sky
@@ -32,6 +32,7 @@ MASK_DEG: Final = 10.0
 EPOCHS: Final = 600
 RAMP_MPS: Final = 50.0 / 60.0
 RAMP_AT_S: Final = 200
+JUMP_M: Final = 1e-6 * C_LIGHT
 ISB_PSD: Final = 1e-4
 """Random walk of the difference of two constellations' clocks, m^2/s: a metre in three hours."""
 FALSE_ALARM: Final = 1e-6
@@ -181,6 +182,7 @@ def fault_isolation(seed: int, runs: int, progress: Callable[[float], None] | No
     dict
         ``ramps``: a record per ramp, constellation and whether clocks are watched, with runs in which the right
         constellation was taken out (``named``) or another one (``wrong``), delays, peaks of the 3D error.
+        ``jumps``: clocks of one constellation that jump by a microsecond: named, and what it does to the position.
         ``fault_free``: false alarms and RMS of both filters.
     """
     say = progress or (lambda _fraction: None)
@@ -189,7 +191,35 @@ def fault_isolation(seed: int, runs: int, progress: Callable[[float], None] | No
     for i, (ramp, faulty) in enumerate(jobs):
         ramps += _one(seed, runs, ramp, faulty)
         say((i + 1) / (len(jobs) + 1))
-    return {"ramps": ramps, "fault_free": [_fault_free(seed, runs, watch) for watch in (False, True)]}
+    return {
+        "ramps": ramps,
+        "jumps": [_jump(seed, runs, faulty) for faulty in range(len(NAMES))],
+        "fault_free": [_fault_free(seed, runs, watch) for watch in (False, True)],
+    }
+
+
+def _jump(seed: int, runs: int, faulty: int) -> dict[str, Any]:
+    """The clock of one constellation jumps by a microsecond and stays."""
+    named, others, peaks, before = 0, 0, [], []
+    for run in range(runs):
+        z = codes(seed, run, None, "")
+        z[RAMP_AT_S:, scene().which == faulty] += JUMP_M
+        out = federated(z, watch=True)
+        named += bool(out.status[RAMP_AT_S, faulty] == LOCAL_JUMPED)
+        others += bool((np.delete(out.status, faulty, axis=1) != LOCAL_USED).any())
+        others += bool((out.status == LOCAL_OUT).any())
+        size = np.linalg.norm(out.x[:, :3], axis=1)
+        peaks.append(float(size[RAMP_AT_S : RAMP_AT_S + 60].max()))
+        before.append(float(size[RAMP_AT_S - 60 : RAMP_AT_S].max()))
+    return {
+        "faulty": NAMES[faulty],
+        "jump_m": JUMP_M,
+        "runs": runs,
+        "named": named,
+        "wrong": others,
+        "peak_after_median_m": float(np.median(peaks)),
+        "peak_before_median_m": float(np.median(before)),
+    }
 
 
 def _one(seed: int, runs: int, ramp: str, faulty: int) -> list[dict[str, Any]]:

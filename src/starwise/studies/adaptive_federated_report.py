@@ -217,6 +217,20 @@ def _faults(faults: Result) -> list[str]:
             for r in faults["ramps"]
         ],
     )  # fmt: skip
+    lines += ["", "A constellation's clock that jumps by a microsecond:", ""]
+    lines += _table(
+        ("of", "absorbed and named", "anything else", "peak 3D in the minute before, m", "after, m"),
+        [
+            (
+                r["faulty"],
+                f"{r['named']} of {r['runs']}",
+                r["wrong"],
+                f"{r['peak_before_median_m']:.1f}",
+                f"{r['peak_after_median_m']:.1f}",
+            )
+            for r in faults["jumps"]
+        ],
+    )
     for r in faults["fault_free"]:
         lines += [
             "",
