@@ -73,8 +73,9 @@ def solve_inertial(
         prepare_directory(output)
     say("reading", 0.0)
     inertial = read_imu(imu, imu_config if str(imu_config) in layout_names() else Path(imu_config))
-    records = [_record("inertial", imu)] + [_record("fixes", fixes)] * (fixes is not None)
+    records = [_record("inertial", imu)]
     if fixes is not None:
+        records.append(_record("fixes", fixes))
         solution = _with_fixes(fixes, inertial, run, chosen, given, say)
     else:
         inputs = sort_inputs(tuple(files))
@@ -128,7 +129,7 @@ def _table(value: Any, file: PathLike) -> dict[str, Any]:
     if not isinstance(value, Mapping):
         raise StarwiseError("'inertial' is a table", file=str(file), found=str(value), wanted="[inertial]")
     try:
-        InertialConfig.from_dict(value, prefix="inertial.")
+        InertialConfig.from_dict(value, file=str(file), prefix="inertial.")
     except StarwiseError as error:
         raise with_line(error, Path(file)) from None
     return dict(value)
