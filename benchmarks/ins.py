@@ -47,12 +47,16 @@ def part(fixes: Fixes, keep: np.ndarray) -> Fixes:
     )  # fmt: skip
 
 
-def horizontal(run: InertialRun, t_ns: np.ndarray, pos_e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Errors east, north (n, 2), m, against positions at the run's epochs, and squared distances in its ellipse."""
+def horizontal(run: InertialRun, pos_e: np.ndarray, cov: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Errors east, north (n, 2), m, against positions at the run's epochs, and squared distances in its ellipse.
+
+    ``cov`` (n, 3, 3), ECEF: what those positions claim of themselves.
+    """
     llh = geodetic_from_ecef(pos_e)
     C = rotations_ne_enu(llh[:, 0], llh[:, 1])
     e = (C @ (run.solution.pos_e - pos_e)[:, :, None])[:, :2, 0]
-    P = run.pos_cov[:, :2, :2][:, ::-1, ::-1] + 0.01**2 * np.eye(2)  # the withheld fixes are good to 1 cm
+    P = run.solution.cov_pos if cov is None else run.solution.cov_pos + cov
+    P = (C @ P @ C.transpose(0, 2, 1))[:, :2, :2]
     return e, np.einsum("ki,kij,kj->k", e, np.linalg.inv(P), e)
 
 
@@ -66,7 +70,7 @@ def gaps(inertial: Inertial, fixes: Fixes, config: InertialConfig, reference=Non
         run = loose(part(fixes, ~gone), inertial, config, epochs_ns=fixes.t_ns[gone])
         k = np.clip(np.searchsorted(fixes.t_ns, run.solution.t_ns - 1_000_000), 0, fixes.n - 1)
         truth = fixes.pos_e[k] if reference is None else reference(run.solution.t_ns)
-        e, d2 = horizontal(run, run.solution.t_ns, truth)
+        e, d2 = horizontal(run, truth, fixes.cov_pos[k] if reference is None else None)
         h, at = np.hypot(e[:, 0], e[:, 1]), (run.solution.t_ns - t0) * 1e-9
         first = (run.start_ns - t0) * 1e-9 + SETTLE_S
         step = np.median(np.diff(t))
@@ -146,7 +150,7 @@ def bench_delay() -> None:
         pos = ecef_from_geodetic(llh) + C_ne.T @ (C_nb @ arm)[[1, 0, 2]] * [1.0, 1.0, 1.0]
         errors.append((C_ne @ (pos - fixes.pos_e[k[j]]))[:2])
     rms = np.sqrt(np.mean(np.sum(np.square(errors), axis=1)))
-    e, _ = horizontal(in_order, in_order.solution.t_ns, fixes.pos_e[k])
+    e, _ = horizontal(in_order, fixes.pos_e[k])
     settled = at > at[0] + SETTLE_S
     print("Fixes 0.5 s late; horizontal RMS against the fix of the moment, m")
     print(f"no delay            {np.sqrt(np.mean((e[settled] ** 2).sum(axis=1))):.3f}")
@@ -154,7 +158,7 @@ def bench_delay() -> None:
     ignored = loose(late, inertial, config)
     t = (ignored.solution.t_ns - iv.t_ns[0]) * 1e-9
     k = np.clip(np.searchsorted(fixes.t_ns, ignored.solution.t_ns - 1_000_000), 0, fixes.n - 1)
-    e, _ = horizontal(ignored, ignored.solution.t_ns, fixes.pos_e[k])
+    e, _ = horizontal(ignored, fixes.pos_e[k])
     print(f"ignored             {np.sqrt(np.mean((e[t > t[0] + SETTLE_S] ** 2).sum(axis=1))):.3f}")
     print("   told:", *(note for note in ignored.solution.provenance["notes"] if "contradict" in note))
 
@@ -208,7 +212,7 @@ def bench_toronto() -> None:
             other = np.interp(t, attitude["t_s"], np.unwrap(attitude[f"{axis}_deg"], period=360.0))
             d = ((rpy[:, i] - other + 180.0) % 360.0 - 180.0)[known]
             print(f"   {axis:5s} difference, deg: mean {d.mean():6.2f}, sd {d.std():5.2f}")
-        e, _ = horizontal(run, run.solution.t_ns, reference(run.solution.t_ns))
+        e, _ = horizontal(run, reference(run.solution.t_ns))
         ours = np.percentile(np.hypot(e[known, 0], e[known, 1]), [50, 68, 95])
         raw = np.linalg.norm((reference(fixes.t_ns) - fixes.pos_e), axis=1)[(fixes.t_ns - t0) * 1e-9 > t[0] + 60.0]
         print("   horizontal difference, m:", ours.round(2), " of the fixes themselves (3D):",

@@ -1,4 +1,4 @@
-"""``solve --imu`` from files to files: loose with fixes, loose and tight with satellites, and options that do not fit."""
+"""``solve --imu`` from files to files: fixes (loose), satellites (loose, tight), and options that do not fit."""
 
 import json
 from pathlib import Path

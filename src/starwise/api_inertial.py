@@ -197,7 +197,7 @@ def _with_satellites(
     else:
         # Fixes of single epochs: their errors do not depend on each other through a filter.
         epochs = solve_run(obs, ephemeris, ionosphere, run.with_options({"method": "lsq"}))
-        made = loose(fixes_of(epochs), inertial, config).solution
+        made = loose(fixes_of(epochs), inertial, config, epochs_ns=epochs.t_ns).solution
         notes = [*epochs.provenance.get("notes", []), *made.provenance.get("notes", [])]
         solution = replace(made, provenance={**made.provenance, "notes": notes})
     found = [_problem(p) for p in (*obs.problems, *problems)]
