@@ -141,6 +141,20 @@ def test_readings_gap_is_bridged_and_told() -> None:
     assert np.hypot(e[late, 0], e[late, 1]).max() < 1.0  # m: as without a gap, two seconds later
 
 
+def test_after_a_long_gap_the_filter_begins_anew() -> None:
+    given, read = fixes(), readings()
+    t = (read.t_ns - T0_NS) * 1e-9
+    keep = ~((t > 50.0) & (t < 56.0))
+    holed = Inertial(read.t_ns[keep], read.dt_s[keep], read.gyro[keep], read.accel[keep], True)
+    run = loose(given, holed, config())
+    assert "2 stretches of readings" in run.solution.provenance["notes"][0]
+    at_s = (run.solution.t_ns - T0_NS) * 1e-9
+    assert not ((at_s > 50.1) & (at_s < 55.9)).any()
+    e, _ = errors(run)
+    assert np.hypot(e[:, 0], e[:, 1])[(at_s > 30.0) & ((at_s < 50.0) | (at_s > 70.0))].max() < 1.0  # m
+    assert len(run.nav) == run.solution.n_epochs == len(run.sigma)
+
+
 def test_rates_and_increments_agree() -> None:
     section = Imu.from_dict({"grade": "perfect", "rate_hz": 100.0, "output": "rates"})
     rates = simulate_imu(drive(), section, T0_NS, T0_NS + 120 * NS, streams(0)).measured

@@ -11,7 +11,7 @@ from starwise.config_inertial import InertialConfig
 from starwise.errors import StarwiseError
 from starwise.estimators.ins_align import FixTable, Start, align
 from starwise.estimators.ins_check import NIS_ALARM, lag_note, mean_nis, shifted, what_if
-from starwise.estimators.ins_output import Aids, InertialRun, empty_out, empty_records, packed
+from starwise.estimators.ins_output import Aids, InertialRun, empty_out, empty_records, join_runs, packed
 from starwise.frames import geodetic_from_ecef, rotations_ne_enu
 from starwise.kernels.ins_run import (
     EVENT_BARO,
@@ -31,7 +31,7 @@ from starwise.kernels.ins_run import (
     smoothed_outputs,
 )
 from starwise.kernels.ins_smooth import smooth
-from starwise.models.inertial import REST_RATE, InertialState, Intervals, inertial_state, intervals
+from starwise.models.inertial import REST_RATE, InertialState, Intervals, inertial_state, intervals, stretches
 from starwise.types import F8, I8, Fixes, Inertial
 
 if TYPE_CHECKING:
@@ -148,6 +148,18 @@ def loose(
     StarwiseError
         Readings or fixes that cannot be used, or nothing to align with.
     """
+    return join_runs(lambda part: _loose(fixes, part, config, epochs_ns, baro, odometer), stretches(inertial, config))
+
+
+def _loose(
+    fixes: Fixes,
+    inertial: Inertial,
+    config: InertialConfig,
+    epochs_ns: I8 | None,
+    baro: Scalars | None,
+    odometer: Scalars | None,
+) -> InertialRun:
+    """One stretch of readings without long gaps."""
     iv = intervals(inertial, config)
     t0, end = int(iv.t_ns[0]), float(iv.read.t[-1])
     plain, notes = fix_table(fixes, t0, end, replace(config, velocity_lag_s=0.0))

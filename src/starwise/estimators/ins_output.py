@@ -1,7 +1,8 @@
 """What an inertial filter gives: room for its outputs, and the nouns made of them."""
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,14 @@ from numpy.typing import NDArray
 
 from starwise.config_inertial import InertialConfig
 from starwise.constants import EPOCH_COASTED, EPOCH_OK, NS
+from starwise.errors import StarwiseError
 from starwise.estimators.ins_align import FixTable, Start, roll_pitch_yaw
+from starwise.estimators.sessions import joined
 from starwise.frames import ecef_from_geodetic, rotations_ne_enu
 from starwise.kernels.ins_run import Out
 from starwise.kernels.ins_smooth import Records
 from starwise.models.inertial import InertialState, Intervals
-from starwise.types import F8, Layout, Solution
+from starwise.types import F8, Inertial, Layout, Solution
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,48 @@ class InertialRun:
     fixes: dict[str, NDArray[Any]] = field(default_factory=dict)
     constraints: dict[str, Any] = field(default_factory=dict)
     start_ns: int = 0
+
+
+def join_runs(work: Callable[[Inertial], InertialRun], parts: list[Inertial]) -> InertialRun:
+    """Run each stretch of readings by itself; those that cannot be navigated are left out, with a note.
+
+    Raises
+    ------
+    StarwiseError
+        None of them can be navigated: what is wrong with the first.
+    """
+    if len(parts) == 1:
+        return work(parts[0])
+    runs: list[InertialRun] = []
+    failed: list[StarwiseError] = []
+    for part in parts:
+        try:
+            runs.append(work(part))
+        except StarwiseError as error:
+            failed.append(error)
+    if not runs:
+        raise failed[0]
+    notes = [f"{len(parts)} stretches of readings between gaps too long to bridge: the filter begins anew in each"]
+    notes += [f"{len(failed)} of them cannot be navigated: {failed[0].message}"] if failed else []
+    whole = joined([run.solution for run in runs])
+    names = list(dict.fromkeys(name for run in runs for name in run.layout.names))
+    if any(len(run.layout) != len(names) for run in runs):
+        names = [name for name in names if all(name in run.layout for run in runs)]
+
+    def stack(values: list[F8]) -> F8:
+        return np.concatenate([v[:, r.layout.indices(names)] for v, r in zip(values, runs, strict=True)])
+
+    return replace(
+        runs[0],
+        solution=replace(whole, provenance={**whole.provenance, "notes": [*notes, *whole.provenance["notes"]]}),
+        nav=np.concatenate([run.nav for run in runs]),
+        est=stack([run.est for run in runs]),
+        sigma=stack([run.sigma for run in runs]),
+        layout=Layout(tuple(names)),
+        pos_cov=np.concatenate([run.pos_cov for run in runs]),
+        vel_cov=np.concatenate([run.vel_cov for run in runs]),
+        fixes={key: np.concatenate([run.fixes[key] for run in runs]) for key in runs[0].fixes},
+    )
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from starwise.config_inertial import InertialConfig
 from starwise.errors import StarwiseError
 from starwise.estimators.ins import SkyTable, fix_table, run_filter
 from starwise.estimators.ins_align import align
-from starwise.estimators.ins_output import InertialRun
+from starwise.estimators.ins_output import InertialRun, join_runs
 from starwise.estimators.run import make_ledger, solve_run
 from starwise.kernels.ins_tight import Seen, Sky
-from starwise.models.inertial import inertial_state, intervals
+from starwise.models.inertial import inertial_state, intervals, stretches
 from starwise.models.process import clocks_from
 from starwise.models.pseudorange import empty_row_model, prepare
 from starwise.types import I8, Ephemeris, Fixes, Inertial, IonosphereModel, Observations, Solution
@@ -69,6 +69,22 @@ def tight(
     run = run.with_options({"start": None, "end": None, "interval_s": None, "error_model": "white"})
     if run.combination == "uncombined":
         run = run.with_options({"combination": "single"})
+    return join_runs(
+        lambda part: _tight(obs, ephemeris, ionosphere, part, run, config, epochs_ns), stretches(inertial, config)
+    )
+
+
+def _tight(
+    obs: Observations,
+    ephemeris: Ephemeris,
+    ionosphere: IonosphereModel,
+    inertial: Inertial,
+    run: RunConfig,
+    config: InertialConfig,
+    epochs_ns: I8 | None,
+) -> InertialRun:
+    """One stretch of readings without long gaps."""
+    obs = obs.between(int(inertial.t_ns[0]), int(inertial.t_ns[-1]))
     iv = intervals(inertial, config)
     t0, end = int(iv.t_ns[0]), float(iv.read.t[-1])
     first = solve_run(obs, ephemeris, ionosphere, run.with_options({"method": "lsq"}))

@@ -1,5 +1,6 @@
 """Inertial readings made into what the filter takes: intervals, noise, rest; and its state out of a configuration."""
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -28,6 +29,8 @@ REST_YAW_SD = 0.02
 """Scatter of the rate about the vertical at rest, rad/s, at most."""
 REST_RATE = 0.01
 """Mean rate at rest beyond the bias, rad/s, at most (a slow turn)."""
+SHORTEST_S = 10.0
+"""Stretches of readings shorter than this between two long gaps are left out, s."""
 GAP_RATE_SD = 0.2
 """What may have happened in a gap: angular rate, rad/s ..."""
 GAP_ACCEL_SD = 2.0
@@ -79,6 +82,18 @@ def increments(inertial: Inertial) -> tuple[I8, F8, F8, F8]:
     gyro = np.where(whole, 0.5 * (inertial.gyro[1:] + inertial.gyro[:-1]), inertial.gyro[1:]) * short[:, None]
     accel = np.where(whole, 0.5 * (inertial.accel[1:] + inertial.accel[:-1]), inertial.accel[1:]) * short[:, None]
     return t, short, gyro, accel
+
+
+def stretches(inertial: Inertial, config: InertialConfig) -> list[Inertial]:
+    """Readings cut at gaps longer than ``config.max_gap_s``: attitude is lost there, a filter has to begin again."""
+    t = inertial.t_ns
+    gap = np.flatnonzero(np.diff(t) * 1e-9 - inertial.dt_s[1:] > config.max_gap_s)
+    edges = [0, *(gap + 1).tolist(), len(t)]
+    return [
+        Inertial(t[a:b], inertial.dt_s[a:b], inertial.gyro[a:b], inertial.accel[a:b], inertial.increments)
+        for a, b in itertools.pairwise(edges)
+        if len(edges) == 2 or (b - a > 2 and (t[b - 1] - t[a]) > SHORTEST_S * NS)
+    ] or [inertial]
 
 
 def intervals(inertial: Inertial, config: InertialConfig) -> Intervals:
