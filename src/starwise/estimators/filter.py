@@ -122,5 +122,7 @@ def filter_rows(
         max(MAX_SLOTS, int(np.diff(epochs.offsets).max(initial=0))),
         ep,
         out,
+        np.zeros((0, 0)),
+        np.zeros((0, 0, 0)),
     )
     return ep, out

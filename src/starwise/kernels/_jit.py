@@ -107,7 +107,7 @@ def cache_dir(module: str) -> str:
 
 
 def njit(function: F) -> F:
-    """Compile a kernel: cached under `cache_root`, numpy's error model (x / 0 is inf), safe fast maths.
+    """Compile a kernel: cached under `cache_root`, numpy's error model (x / 0 is inf), safe fast maths, no GIL held.
 
     numba reads its cache setting when a function is decorated, so it is set for that moment only: other users of
     numba in the same process are not affected.
@@ -116,7 +116,7 @@ def njit(function: F) -> F:
     before = config.CACHE_DIR
     config.CACHE_DIR = cache_dir(function.__module__.rpartition(".")[2])
     try:
-        compiled: Any = numba.njit(cache=True, error_model="numpy", fastmath=FLAGS)(function)
+        compiled: Any = numba.njit(cache=True, error_model="numpy", fastmath=FLAGS, nogil=True)(function)
     finally:
         config.CACHE_DIR = before
     return cast(F, compiled)

@@ -82,7 +82,7 @@ def code_states(
             errors.ionosphere_fraction * model, errors.ionosphere_floor * mapping))  # fmt: skip
         sigma = math.hypot(errors.vertical_fraction * vertical, errors.vertical_floor)
         if model == 0.0:
-            sigma = max(sigma, 5.0)  # no model: the whole delay is an error
+            sigma = max(sigma, errors.vertical_unknown)  # no model: the whole delay is an error
         k = _add(idx, val, k, base + VERTICAL, g * mapping * sigma)
         sigma = math.hypot(errors.gradient_fraction * vertical, errors.gradient_floor) * offset
         k = _add(idx, val, k, base + NORTH, g * mapping * sigma * math.cos(az))

@@ -66,6 +66,7 @@ class ErrorModel(NamedTuple):
     ionosphere_tau: float
     vertical_fraction: float  # the same of the delay at the zenith, common to the sky
     vertical_floor: float
+    vertical_unknown: float  # least, where there is no broadcast model
     gradient_fraction: float  # per 1000 km
     gradient_floor: float
     vertical_tau: float

@@ -67,6 +67,20 @@ def _write(e: int, nk: int, nc: int, floor: float, belief: Belief, ep: EpochOut)
 
 
 @njit
+def _write_common(e: int, nk: int, nc: int, belief: Belief, common: F8, common_cov: F8) -> None:
+    """States that constellations have in common into row e: motion, then those of the sky; nothing if it is empty."""
+    n = common.shape[1]
+    base = nk + 2 * nc
+    for i in range(n):
+        r = i if i < nk else base + i - nk
+        common[e, i] = belief.x[r]
+        for j in range(i, n):
+            c = j if j < nk else base + j - nk
+            common_cov[e, i, j] = belief.P[r, c]
+            common_cov[e, j, i] = belief.P[r, c]
+
+
+@njit
 def restart(
     model: ModelOptions, spp: SppOptions, options: FilterOptions, errors: ErrorModel, t_ns: int, rows: Rows,
     extra: ErrorRows, start: int, end: int, nk: int, nc: int, running: bool, failing: bool, desperate: bool,
@@ -138,6 +152,7 @@ def restart(
 def filter_run(
     model: ModelOptions, spp: SppOptions, process: Process, options: FilterOptions, epochs: Epochs, rows: Rows,
     x0: F8, P0: F8, errors: ErrorModel, extra: ErrorRows, max_slots: int, ep: EpochOut, out: RowModel,
+    common: F8, common_cov: F8,
 ) -> None:  # fmt: skip
     """Filter all epochs of a run; arguments as `starwise.kernels.spp.spp_run`, and a start.
 
@@ -161,6 +176,8 @@ def filter_run(
         Out: per epoch.
     out : RowModel
         Out: per row. At an epoch that (re)starts the filter, those of least squares.
+    common, common_cov : (m, k), (m, k, k)
+        Out: motion and, k = nk + N_SKY, the states of the sky, with their covariance; k = 0: not wanted.
     """
     n_all, nk = ep.clock.shape[1], process.nk
     m_max = 1
@@ -232,6 +249,7 @@ def filter_run(
                 since_s, belief, slots, x2, work, e, ep, out,
             )  # fmt: skip
             if started > 0:
+                _write_common(e, nk, started, belief, common, common_cov)
                 checked = ep.status[e] != EPOCH_SUSPECT
                 if rates == RATES_FAILED and checked and (failing or not running):
                     soon = e - e_strike <= SOON_EPOCHS or t_ns - t_strike <= SOON_NS
@@ -280,6 +298,7 @@ def filter_run(
         n_used, agreed, n_clocks = tally(rows, out, m, at, work)
         count_missed(rows, m, t_ns, belief, work)
         _write(e, nk, nc, errors.floor, belief, ep)
+        _write_common(e, nk, nc, belief, common, common_cov)
         dops(out, start, end, ep.dop[e])
         ep.n_used[e], ep.dof[e], ep.nis[e] = n_used, dof, nis
         if m == 0:

@@ -16,6 +16,8 @@ MAX_SLOTS = 64
 """Satellites with states at once: more than are ever above the horizon, and those that just left."""
 MULTIPATH_STATES_BELOW = 1.6
 """Multipath gets states where epochs are nearer than so many correlation times (exp(-1.6) = 0.2); else it is white."""
+VERTICAL_UNKNOWN_M = 5.0
+"""Sigma of the zenith delay where no broadcast model says anything of it."""
 GEO = frozenset([*range(1, 6), *range(59, 64)])
 """BeiDou satellites in geostationary orbit (BDS-SIS-ICD-B1I-3.0 and the constellation's status)."""
 
@@ -168,6 +170,7 @@ def error_model(p: ErrorParameters, dual: bool, n_bias: int, interval_s: float) 
         ionosphere_tau=p.ionosphere_tau_s,
         vertical_fraction=p.vertical_fraction,
         vertical_floor=p.vertical_floor_m,
+        vertical_unknown=VERTICAL_UNKNOWN_M,
         gradient_fraction=p.gradient_fraction,
         gradient_floor=p.gradient_floor_m,
         vertical_tau=p.vertical_tau_s,

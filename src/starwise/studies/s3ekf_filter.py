@@ -102,5 +102,7 @@ def solve_paper(
         MAX_SLOTS,
         ep,
         out,
+        np.zeros((0, 0)),
+        np.zeros((0, 0, 0)),
     )
     return ep
