@@ -234,7 +234,7 @@ def rate(work, n: int, times: int = 5) -> float:
 
 
 def bench_speed() -> None:
-    n, dt = 200_000, 0.01
+    n, dt = 50_000, 0.01
     rng = np.random.default_rng(0)
     gyro = rng.normal(size=(n + 1, 3)) * 1e-3
     accel = rng.normal(size=(n + 1, 3)) * 1e-2 + [0.0, 0.0, -0.0981]
@@ -275,18 +275,21 @@ def bench_speed() -> None:
     state[0][0], state[1][0], state[2][0] = pva.iloc[:3], pva.iloc[3:6], np.eye(3)
     theta = np.ascontiguousarray(made[["theta_x", "theta_y", "theta_z"]])
     dv = np.ascontiguousarray(made[["dv_x", "dv_y", "dv_z"]])
-    bare = rate(lambda: strapdown.integrate(np.asarray(made.dt), *state, theta, dv, 0, True), n, 3)
+    intervals_s, bare = np.asarray(made.dt), 0.0
+    for _ in range(10):  # turn and turn about: other work on the machine hits both
+        bare = max(bare, rate(lambda: strapdown.integrate(intervals_s, *state, theta, dv, 0, True), n, 1))
+        ours = max(ours, rate(lambda: mechanise(nav0.copy(), gyro[1:], accel[1:], dts, np.zeros(7), out), n, 1))
     print(f"mechanisation, python-ins: {whole / 1e6:.2f} (its Integrator), {bare / 1e6:.2f} (its compiled loop alone)")
-    print(f"   starwise is {ours / whole:.1f} and {ours / bare:.1f} times as fast")
+    print(f"   starwise ({ours / 1e6:.2f}) is {ours / whole:.1f} and {ours / bare:.1f} times as fast")
     _accuracy(pd, strapdown, util)
-    # the feedback filter on a piece of the same drive: 40 s
+    # the feedback filter on a piece of the same drive: 10 s (it takes minutes for more)
     t = (inertial.t_ns - inertial.t_ns[0]) * 1e-9
-    piece = (t > 100.0) & (t < 140.0)
+    piece = (t > 100.0) & (t < 110.0)
     imu = pd.DataFrame(np.hstack([inertial.gyro, inertial.accel])[piece], index=t[piece], columns=columns)
     made = strapdown.compute_increments_from_imu(imu, "rate")
     llh = geodetic_from_ecef(fixes.pos_e)
     tf = (fixes.t_ns - inertial.t_ns[0]) * 1e-9
-    near = (tf > 100.0) & (tf < 140.0)
+    near = (tf > 100.0) & (tf < 110.0)
     C = rotations_ne_enu(llh[near, 0], llh[near, 1])[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])[:, None]
     vel = (C @ fixes.vel_e[near, :, None])[:, :, 0]
     position = pd.DataFrame(np.column_stack([np.degrees(llh[near, :2]), llh[near, 2]]), tf[near], util.LLA_COLS)
@@ -298,7 +301,7 @@ def bench_speed() -> None:
     def feedback(step: float) -> None:
         filters.run_feedback_filter(start, 1.0, 1.0, 3.0, 10.0, made, measurements=aids, time_step=step)
 
-    for step in (0.1, 0.01):
+    for step in (0.1,):
         began = time.perf_counter()
         feedback(step)
         theirs = len(made) / (time.perf_counter() - began)
