@@ -12,7 +12,7 @@ from starwise.terminal import Json, Progress, show, show_json
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Directory for the results.")]
 Runs = Annotated[int, typer.Option("--runs", metavar="N", min=1, help="Monte Carlo runs; they are resumed.")]
 Seed = Annotated[int | None, typer.Option("--seed", metavar="S", help="In place of the scenario's.")]
-PAPERS = ("s3ekf", "rdss_sins", "adaptive_federated")
+PAPERS = ("s3ekf", "rdss_sins", "adaptive_federated", "stability")
 Workers = Annotated[int | None, typer.Option("--workers", metavar="N", min=1, help="Processes; default: all cores.")]
 
 
@@ -70,7 +70,9 @@ def _simulate_text(record: dict[str, Any], output: Path, seconds: float) -> str:
 
 
 def reproduce(
-    paper: Annotated[str, typer.Argument(metavar="PAPER", help="One of: s3ekf, rdss_sins, adaptive_federated.")],
+    paper: Annotated[
+        str, typer.Argument(metavar="PAPER", help="One of: s3ekf, rdss_sins, adaptive_federated, stability.")
+    ],
     output: Output = Path("starwise-reproduce"),
     runs: Runs = 100,
     seed: Seed = None,
@@ -92,6 +94,9 @@ def reproduce(
     if paper == "adaptive_federated":
         _adaptive_federated(output, runs, seed, workers, as_json)
         return
+    if paper == "stability":
+        _stability(output, runs, seed, workers, as_json)
+        return
     from starwise.studies.s3ekf import reproduce_s3ekf
 
     with Progress(as_json) as progress:
@@ -111,6 +116,19 @@ def _adaptive_federated(output: Path, runs: int, seed: int | None, workers: int 
 
     with Progress(as_json) as progress:
         result = reproduce_adaptive_federated(output, runs, seed, workers, progress)
+    if as_json:
+        show_json(result)
+    else:
+        show(short_text(result) + f"\nThe whole report: {output / 'report.md'}")
+
+
+def _stability(output: Path, runs: int, seed: int | None, workers: int | None, as_json: bool) -> None:
+    """Controllability, observability and stability of a filter (Gao, Tan 2007)."""
+    from starwise.studies.stability import reproduce_stability
+    from starwise.studies.stability_report import short_text
+
+    with Progress(as_json) as progress:
+        result = reproduce_stability(output, runs, seed, workers, progress)
     if as_json:
         show_json(result)
     else:

@@ -23,8 +23,8 @@ import numpy as np
 from starwise.analysis.stability_system import LinearSystem
 from starwise.types import F8, Layout
 
-TOLERANCE: Final = 1e-7
-"""Directions seen less than this part of the best seen one (both scaled) count as not seen: noise times 1e7."""
+TOLERANCE: Final = 1e-6
+"""Directions seen less than this part of the best seen one (both scaled) count as not seen: noise times a million."""
 SHOWN: Final = 0.05
 """Part of the largest component, scaled, below which a state is left out of a direction's name."""
 Observable = Literal["observable", "weakly observable", "not observable"]
