@@ -39,8 +39,8 @@ def measure(data: DataSet, runs: int, folder: Path) -> dict[str, object]:
     commands = {
         "rtklib": ["rnx2rtkp", "-k", str(DATA / "rtklib_conf" / data.conf), "-o", str(folder / "r.pos"),
                    str(obs), *map(str, navs)],
-        "lsq": [*starwise, "--method", "lsq", "--systems", data.systems],
-        "s3ekf": [*starwise, "--systems", data.systems],
+        "lsq": [*starwise, "--error-model", "white", "--method", "lsq", "--systems", data.systems],
+        "s3ekf": [*starwise, "--error-model", "white", "--systems", data.systems],
     }  # fmt: skip
     for command in commands.values():
         run(command)

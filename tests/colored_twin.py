@@ -61,7 +61,11 @@ class Twin:
         Phi[np.ix_(at, at)], Q[np.ix_(at, at)] = Phi1, Q1
         x = s.x.copy()
         x[at] = Phi1 @ s.x[at]
-        speed = float(np.linalg.norm(x[s.layout.indices(["vel.x", "vel.y", "vel.z"])])) if self.motion.nk > 3 else 0.0
+        speed = 0.0
+        if self.motion.nk > 3:
+            v = s.layout.indices(["vel.x", "vel.y", "vel.z"])
+            noise = (Phi @ s.P @ Phi.T + Q)[v, v]  # an estimate at rest is not at rest
+            speed = float(np.sqrt(max(x[v] @ x[v] - noise.sum(), 0.0)))
         for i, name in enumerate(s.layout.names):
             if i not in at:
                 Phi[i, i] = np.exp(-dt / self.taus(name, speed))
@@ -175,7 +179,7 @@ class Twin:
                 row[3:6] = grad
             row[names.index(f"drift.{k}")] = 1.0
             weak = e.weak_sigma * 10.0 ** ((e.weak_cn0 - rows.cn0_dbhz[i]) / e.weak_decade)
-            speed2 = float(self.speed @ self.speed)
+            speed2 = min(float(self.speed @ self.speed), 40.0**2)
             v.append(rows.rate_mps[i] - (rate + state.x[names.index(f"drift.{k}")] - rows.drift_mps[i]))
             H.append(row)
             r.append(self.rate_sigma**2 + speed2 * (e.rate_motion**2 + (e.rate_weak * weak) ** 2))

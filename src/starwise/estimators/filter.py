@@ -30,13 +30,16 @@ def filter_options(config: RunConfig, motion: Motion, clocks: Clocks) -> FilterO
         gate2=float(gate[2]),
         chi2=chi_square_table(EPOCH_FALSE_ALARM, 400),
         patience=PATIENCE,
+        weak_patience=2 * PATIENCE,
         velocity_sigma0=motion.velocity_sigma0,
         acceleration_sigma0=motion.acceleration_sigma0,
         drift_sigma0=clocks.drift_sigma0,
         intersystem_sigma0=clocks.intersystem_sigma0,
         intersystem_drift_sigma0=clocks.intersystem_drift_sigma0,
         clock_loose_m=100.0,  # a bad satellite of 100 m would still pass as a clock error
-        lost_sigma_m=10_000.0,  # least squares from nothing is better: ranges bend by dx^2 / (2 rho) = 2 m there
+        # Least squares from nothing is better: ranges bend by dx^2 / (2 rho), 2 m at 10 km, 0.2 m at 3 km (the coloured
+        # update is not iterated).
+        lost_sigma_m=3_000.0 if config.error_model == "colored" else 10_000.0,
         memoryless=config.method == "lsq",
         absent_s=3600.0,  # the inter-system bias is still known to 0.3 m then; the state stays small
     )

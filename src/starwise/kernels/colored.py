@@ -138,13 +138,19 @@ def _correct(x: F8, P: F8, n: int, W: F8, y: F8) -> None:
     """Correction x += W' y and P -= W' W (upper triangle) with three rows of W."""
     y0, y1, y2 = y[0], y[1], y[2]
     a, b, c = W[0], W[1], W[2]
-    end = np.uint64(n)
     for i in range(n):
-        w0, w1, w2 = a[i], b[i], c[i]
-        x[i] += w0 * y0 + w1 * y1 + w2 * y2
-        row = P[i]
+        x[i] += a[i] * y0 + b[i] * y1 + c[i] * y2
+    end = np.uint64(n)
+    for i in range(0, n - 1, 2):  # two rows at once: W is read half as often; one element below the diagonal is spoilt
+        p, q = P[i], P[i + 1]
+        a0, b0, c0 = a[i], b[i], c[i]
+        a1, b1, c1 = a[i + 1], b[i + 1], c[i + 1]
         for j in range(np.uint64(i), end):  # unsigned: see `_times_p`
-            row[j] -= w0 * a[j] + w1 * b[j] + w2 * c[j]
+            p[j] -= a0 * a[j] + b0 * b[j] + c0 * c[j]
+            q[j] -= a1 * a[j] + b1 * b[j] + c1 * c[j]
+    if n % 2 == 1:
+        i = n - 1
+        P[i, i] -= a[i] * a[i] + b[i] * b[i] + c[i] * c[i]
 
 
 @njit

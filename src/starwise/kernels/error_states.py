@@ -237,7 +237,9 @@ def predict_errors(
     n = base + n_errors(errors, slots)
     speed = 0.0
     if nk > 3:
-        speed = math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5])
+        # less what noise of the estimate adds: at rest it would look like motion
+        speed2 = x[3] * x[3] + x[4] * x[4] + x[5] * x[5] - P[3, 3] - P[4, 4] - P[5, 5]
+        speed = math.sqrt(max(speed2, 0.0))
     memory(errors, slots.size[0], dt, speed, phi)
     orders = nk // 3
     for i in range(3):
@@ -289,11 +291,14 @@ def weak_sigma(errors: ErrorModel, cn0: float) -> float:
     return float(errors.weak_sigma * 10.0 ** ((errors.weak_cn0 - max(cn0, 10.0)) / errors.weak_decade))
 
 
+STREET_SPEED = 40.0  # m/s; whoever is faster has no reflectors beside him
+
+
 @njit
 def motion_rate_variance(errors: ErrorModel, cn0: float, speed2: float) -> float:
     """Variance that motion adds to a rate, (m/s)^2: a reflected signal has the Doppler shift of another direction."""
     b = errors.rate_weak * weak_sigma(errors, cn0)
-    return speed2 * (errors.rate_motion * errors.rate_motion + b * b)
+    return min(speed2, STREET_SPEED**2) * (errors.rate_motion * errors.rate_motion + b * b)
 
 
 @njit

@@ -116,7 +116,9 @@ def error_rows(
         Of the observation rows; None: not in dB-Hz.
     """
     n = len(s.sv)
-    use = (s.status == ROW_USED) & (s.row2 >= 0)
+    # GLONASS broadcasts no delay for its second signal: its signal bias is as large as what is missing.
+    known = np.isfinite(delay2_m) | (s.sv >> 8 == SYS_R)
+    use = (s.status == ROW_USED) & (s.row2 >= 0) & known
     bias1, bias2, bias_names = _biases(s.sv, s.sig, np.where(use, s.sig2, np.int16(0)))
     code2, freq2, cn02, clock2 = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
     row2 = s.row2[use]
