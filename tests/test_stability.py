@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from starwise.analysis.stability import dare, lyapunov_exponents, spectral_radii, stability, steady_state
+from starwise.analysis.stability import lyapunov_exponents, stability
+from starwise.analysis.stability_dare import dare, spectral_radii, steady_state
 from starwise.analysis.stability_system import LinearSystem, Step
 
 TEXTBOOK = 1e-10  # relative: a few hundred operations in double precision

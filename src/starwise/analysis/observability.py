@@ -112,10 +112,9 @@ class Observability:
         if self.unobservable:
             what = "; ".join(d.name for d in self.unobservable)
             return (
-                f"not observable: rank {self.rank} of {n} over {self.count} steps. No measurement of the window "
-                f"depends on {what}: the filter cannot correct it, and its covariance there is the prior's. A "
-                f"measurement that depends on it (another satellite or sensor), or motion over a longer window, is "
-                "needed."
+                f"not observable: rank {self.rank} of {n} over {self.count} steps. A shift of the state along {what} "
+                "changes no measurement of the window: the filter cannot correct it, and its sigma there is the "
+                "prior's. Another satellite or sensor that sees it is needed, or motion over a longer window."
             )
         text = f"{self.verdict}: rank {n} of {n} over {self.count} steps, condition {self.condition:.2g}"
         if self.verdict == "weakly observable":
@@ -246,7 +245,7 @@ def degree_by_solution(W: F8, b: F8) -> F8:
     rotated = V.T @ b
     with np.errstate(divide="ignore", invalid="ignore"):
         each = np.abs(np.where(rotated == 0.0, 0.0, lam / rotated))
-    return np.abs(V @ each)
+    return np.asarray(np.abs(V @ each))
 
 
 def cramer_rao(system: LinearSystem, P0: F8 | None = None) -> F8:
@@ -286,14 +285,14 @@ def _singular(A: F8) -> tuple[F8, F8]:
     """All n singular values of A (m, n), padded with 0, and all n right singular vectors as rows."""
     n = A.shape[1]
     if len(A) > n:
-        A = np.linalg.qr(A, mode="r")
+        A = np.asarray(np.linalg.qr(A, mode="r"))
     _, s, V = np.linalg.svd(A, full_matrices=True)
     return np.concatenate([s, np.zeros(n - len(s))]), V
 
 
 def _updated(P0: F8, O: F8) -> F8:  # noqa: E741
     """Covariance P0 with the information O' O added; works for a prior that is not of full rank."""
-    G = np.linalg.qr(O, mode="r") if len(O) > len(P0) else O
+    G: F8 = np.asarray(np.linalg.qr(O, mode="r")) if len(O) > len(P0) else O
     S = G @ P0 @ G.T + np.eye(len(G))
     return np.asarray(P0 - P0 @ G.T @ np.linalg.solve(S, G @ P0))
 

@@ -20,33 +20,13 @@ from typing import Final, Literal
 
 import numpy as np
 
-from starwise.analysis.stability_system import LinearSystem, Step
+from starwise.analysis.stability_dare import SteadyState, spectral_radii, steady_state
+from starwise.analysis.stability_system import LinearSystem
 from starwise.types import F8, Layout
 
 Verdict = Literal["asymptotically stable", "stable", "not stable"]
 UNIT: Final = 1e-9
 """Spectral radii this near to 1 count as 1: eigenvalues of a double root are no better than 1e-8, single ones 1e-13."""
-
-
-@dataclass(frozen=True)
-class SteadyState:
-    """Where a time-invariant filter goes.
-
-    Attributes
-    ----------
-    before, P : (n, n) float64
-        Covariance before and after the measurements.
-    K : (n, m) float64
-    Psi : (n, n) float64
-    spectral_radius : float
-        Of Psi.
-    """
-
-    before: F8
-    P: F8
-    K: F8
-    Psi: F8
-    spectral_radius: float
 
 
 @dataclass(frozen=True)
@@ -133,7 +113,8 @@ class Stability:
         """Judged by what the run shows.
 
         Time-invariant: the spectral radius, unless it is 1. Else by the product over the whole run: asymptotically
-        stable if it makes 1/e or less of every error; not stable if an error is e times as large at the end and still growing: 1.5 times what it ever was in the first half. Else stable.
+        stable if it leaves 1/e or less of every error; not stable if an error is e times as large at the end and
+        still growing: 1.5 times what it ever was in the first half. Else stable.
         """
         if self.limit_radius is not None and abs(self.limit_radius - 1.0) > UNIT:
             return "asymptotically stable" if self.limit_radius < 1.0 else "not stable"
@@ -265,11 +246,6 @@ def stability(
     )
 
 
-def spectral_radii(A: F8) -> F8:
-    """Largest absolute eigenvalue of each matrix (..., n, n)."""
-    return np.asarray(np.abs(np.linalg.eigvals(A)).max(axis=-1))
-
-
 def lyapunov_exponents(Psi: F8) -> F8:
     """Lyapunov exponents per step of a sequence of matrices (N, n, n), falling, (n,).
 
@@ -323,62 +299,11 @@ def transient_growth(
     return tuple(best.values())
 
 
-def dare(step: Step) -> F8:
-    """Steady-state covariance *before* the measurements, (n, n): the stabilising solution of the DARE.
-
-        P = Phi (P - P H' (H P H' + R)^-1 H P) Phi' + Q
-
-    Raises
-    ------
-    ValueError
-        There is none: an unstable or constant part is not observable, or one on the unit circle has no noise.
-    """
-    from scipy.linalg import solve_discrete_are
-
-    try:
-        P = solve_discrete_are(step.Phi.T, step.H.T, step.Q, step.R_full)
-    except np.linalg.LinAlgError as error:
-        raise ValueError(f"no steady state: {error}") from None
-    for _ in range(3):  # the last digits
-        P = _riccati(step, P)
-    K = _gain(step, P)
-    Psi = (np.eye(len(P)) - K @ step.H) @ step.Phi
-    if not float(spectral_radii(Psi)) < 1.0:
-        raise ValueError("no steady state: its filter is not asymptotically stable")
-    return np.asarray(P)
-
-
-def steady_state(step: Step) -> SteadyState:
-    """Steady state of a time-invariant filter, by the DARE.
-
-    Raises
-    ------
-    ValueError
-        There is none.
-    """
-    before = dare(step)
-    K = _gain(step, before)
-    A = np.eye(len(before)) - K @ step.H
-    P = A @ before @ A.T + K @ step.R_full @ K.T
-    return SteadyState(before, 0.5 * (P + P.T), K, A @ step.Phi, float(spectral_radii(A @ step.Phi)))
-
-
 def _radius(rho: float) -> str:
     """Radius with the digits that show how far from 1 it is."""
     if abs(rho - 1.0) <= UNIT:
         return "1"
     return f"1 {'-' if rho < 1.0 else '+'} {abs(rho - 1.0):.1e}" if abs(rho - 1.0) < 0.01 else f"{rho:.3f}"
-
-
-def _gain(step: Step, before: F8) -> F8:
-    return np.asarray(np.linalg.solve(step.H @ before @ step.H.T + step.R_full, step.H @ before).T)
-
-
-def _riccati(step: Step, before: F8) -> F8:
-    K = _gain(step, before)
-    A = np.eye(len(before)) - K @ step.H
-    P = step.Phi @ (A @ before @ A.T + K @ step.R_full @ K.T) @ step.Phi.T + step.Q
-    return np.asarray(0.5 * (P + P.T))
 
 
 def _steady_or_none(system: LinearSystem) -> SteadyState | None:

@@ -145,7 +145,7 @@ class LinearSystem:
 
         What is only the rounding of a zero becomes zero: it would look like a very weak observation.
         """
-        B = np.linalg.inv(T)
+        B: F8 = np.asarray(np.linalg.inv(T))
         steps = tuple(
             Step(_product(T, s.Phi, B), _product(T, s.Q, T.T), _product(s.H, B), s.R, None if s.K is None else T @ s.K)
             for s in self.steps
@@ -194,7 +194,7 @@ class LinearSystem:
             if s.K is not None:
                 K = s.K
             elif len(R):
-                K = np.linalg.solve(s.H @ P @ s.H.T + R, s.H @ P).T
+                K = np.asarray(np.linalg.solve(s.H @ P @ s.H.T + R, s.H @ P).T)
             else:
                 K = np.zeros((n, 0))
             A = np.eye(n) - K @ s.H
@@ -213,9 +213,10 @@ class LinearSystem:
 
 def _product(*factors: F8) -> F8:
     """Product of matrices, 0 where it is below the rounding of its terms."""
-    out, size = factors[0], np.abs(factors[0])
+    out: F8 = factors[0]
+    size: F8 = np.asarray(np.abs(factors[0]))
     for A in factors[1:]:
-        out, size = out @ A, size @ np.abs(A)
+        out, size = np.asarray(out @ A), np.asarray(size @ np.asarray(np.abs(A)))
     return np.asarray(np.where(np.abs(out) <= 16.0 * np.finfo(np.float64).eps * size, 0.0, out))
 
 

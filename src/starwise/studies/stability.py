@@ -16,12 +16,13 @@ from starwise.analysis.observability import (
     degree_by_solution,
     observability,
 )
-from starwise.analysis.stability import Stability, stability, steady_state
+from starwise.analysis.stability import Stability, stability
 from starwise.analysis.stability_controllability import (
     controllability,
     uniform_controllability,
     uniform_observability,
 )
+from starwise.analysis.stability_dare import steady_state
 from starwise.errors import StarwiseError
 from starwise.studies.montecarlo import run_many, write_whole
 from starwise.studies.s3ekf import write_text

@@ -279,7 +279,11 @@ def burst_table(table: "pl.DataFrame") -> list[dict[str, Any]]:
 
 
 def survival(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """A record per model, kind and recovery: the largest size up to which *every* run of *every* size recovers."""
+    """A record per model, kind and recovery: the largest size up to which *every* run of *every* size recovers.
+
+    ``honest_at_largest``: part of these runs whose covariance holds their error at the end. A filter may stay within
+    its six sigmas and yet be sure of a wrong position.
+    """
     out: list[dict[str, Any]] = []
     for recovery, way in ((False, "none"), (True, "roll_back")):
         rows = [r for r in records if r["way"] == way and r["kind"] != "none"]
@@ -301,6 +305,7 @@ def survival(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                     "largest_survived_m": good[-1]["size"] if good else 0.0,
                     "recovery_s": max(times) if times else None,
                     "recovery_max_s": max(r["max_s"] for r in good) if good else None,
+                    "honest_at_largest": good[-1]["honest"] if good else None,
                     "largest_with_all_runs": after[-1]["size"] if after else 0.0,
                     "lost_sizes": [r["size"] for r in mine if r["recovered"] < r["runs"]],
                     "undetected_sizes": [r["size"] for r in mine if r["detected"] < 0.5],

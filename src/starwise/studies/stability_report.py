@@ -177,13 +177,14 @@ def _degree(result: Result) -> list[str]:
 
 def _bursts(result: Result) -> list[str]:
     head = ("satellites", "model", "into", "recovery", "survived by all runs up to", "time, worst median / max",
-            "sizes not survived by all", "mostly undetected")  # fmt: skip
+            "honest there", "sizes not survived by all", "mostly undetected")  # fmt: skip
     body = []
     for b in result["bursts"]:
         top = f"{b['largest_survived_m']:g} {b['unit']}" if b["largest_survived_m"] else "none"
         time = "" if b["recovery_s"] is None else f"{b['recovery_s']:.2f} / {b['recovery_max_s']:.2f} s"
         unseen = ", ".join(f"{v:g}" for v in b["undetected_sizes"]) if b["recovery"] else ""
-        body.append((str(b["satellites"]), b["model"], _KINDS[b["kind"]], _yes(b["recovery"]), top, time,
+        honest = "" if b["honest_at_largest"] is None else f"{b['honest_at_largest']:.2f}"
+        body.append((str(b["satellites"]), b["model"], _KINDS[b["kind"]], _yes(b["recovery"]), top, time, honest,
                      ", ".join(f"{v:g}" for v in b["lost_sizes"]), unseen))  # fmt: skip
     sizes = sorted({r["size"] for r in result["burst_table"]})
     detail = []
@@ -205,8 +206,8 @@ def _bursts(result: Result) -> list[str]:
         *_table(head, body),
         "",
         "Without recovery the improved model survives, as a multiple of what the plain one does (3 satellites): "
-        f"{said}. The paper's factor of ten is {'' if ten else 'not '}confirmed: sharp rates and accelerations make the "
-        "filter sure of its position.",
+        f"{said}. The paper's factor of ten is {'' if ten else 'not '}confirmed: sharp rates and accelerations "
+        "make the filter sure of its position.",
         "",
         f"False alarms in runs of 600 s: {alarms}.",
         "",

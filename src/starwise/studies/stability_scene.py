@@ -119,7 +119,7 @@ class Scene:
     @cached_property
     def t_s(self) -> F8:
         """Times of the filter's steps, s: the first one period after the start."""
-        return PERIOD_S * np.arange(1, round(self.duration_s / PERIOD_S) + 1)
+        return np.asarray(PERIOD_S * np.arange(1, round(self.duration_s / PERIOD_S) + 1))
 
     @cached_property
     def llh(self) -> F8:
