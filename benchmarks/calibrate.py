@@ -29,16 +29,18 @@ def entry(data: DataSet, station: str, truth: str, dynamics: str, kinds: str) ->
 
 def main() -> int:
     """Run ``starwise calibrate`` on all shared measurements with a truth."""
-    tables, both = [], "'uncombined', 'single'"
+    tables = []
     for data in STATIC:
         assert data.truth is not None
         where = ",".join(f"{v:.4f}" for v in truth_ecef(data.truth))
-        tables.append(entry(data, STATIONS[data.name.split("_")[0].split()[0]], where, "'static', 'vehicle'", both))
+        station = STATIONS[data.name.split("_")[0].split()[0]]
+        tables.append(entry(data, station, where, "'static', 'vehicle'", "'uncombined'"))
+        tables.append(entry(data, station, where, "'static'", "'single'"))
     truth = DATA / "kinematic/urbannav_tst_20190428/groundTruth_TST.csv"
     tables.append(entry(URBAN, "TST", str(truth), "'vehicle'", "'single'"))
     with tempfile.TemporaryDirectory(prefix="starwise-calibrate-") as folder:
         sets = Path(folder) / "sets.toml"
-        sets.write_text("every = 4\n" + "\n".join(tables))
+        sets.write_text("every = 6\n" + "\n".join(tables))
         return subprocess.call([sys.executable, "-m", "starwise", "calibrate", str(sets), *sys.argv[1:]])
 
 
