@@ -57,6 +57,16 @@ def test_gramian_of_constant_velocity_is_the_sum_of_powers() -> None:
 
 
 @pytest.mark.laws
+def test_diagonal_noise_is_the_same_as_a_vector_or_a_matrix() -> None:
+    g = rng()
+    Phi, H, r = np.eye(3) + 0.1 * g.normal(size=(3, 3)), g.normal(size=(2, 3)), np.array([0.25, 9.0])
+    one = LinearSystem.constant(("a", "b", "c"), (Phi, np.eye(3), H, r), 5)
+    other = LinearSystem.constant(("a", "b", "c"), (Phi, np.eye(3), H, np.diag(r)), 5)
+    np.testing.assert_allclose(gramian(one), gramian(other), rtol=TEXTBOOK)
+    np.testing.assert_allclose(one.filtered(np.eye(3)).P, other.filtered(np.eye(3)).P, rtol=TEXTBOOK)
+
+
+@pytest.mark.laws
 def test_gramian_of_a_decaying_state_is_a_geometric_sum() -> None:
     a, N = 0.9, 30
     system = LinearSystem.constant(("a",), ([[a]], [[0.1]], [[2.0]], [[0.5]]), N)
