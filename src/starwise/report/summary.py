@@ -34,6 +34,9 @@ def summarise(solution: Solution) -> dict[str, Any]:
         "interval_s": float(np.median(np.diff(solution.t_ns))) / 1e9 if solution.n_epochs > 1 else None,
         **_position(solution, solved),
     }
+    if "events" in solution.provenance:
+        causes = [str(event["cause"]) for event in solution.provenance["events"]]
+        summary["events"] = {cause: causes.count(cause) for cause in dict.fromkeys(causes)}
     if "status" in solution.ledger:
         summary.update(_rows(solution))
     return summary
@@ -99,7 +102,9 @@ def _rows(solution: Solution) -> dict[str, Any]:
 
 
 def _signals(solution: Solution, which: np.typing.NDArray[np.intp]) -> dict[str, int]:
-    """Rows by signal, or by pair of signals (``1W+2W``), most frequent first."""
+    """Satellites' epochs by signal, or by pair of signals (``1W+2W``), most frequent first."""
+    # the row of a second signal beside the first has no terms of its own
+    which = which[np.isfinite(solution.ledger["geometric_m"][which])]
     first, second = solution.ledger["sig"][which].astype(np.int64), solution.ledger["sig2"][which].astype(np.int64)
     pairs, counts = np.unique(first << 16 | second, return_counts=True)
     order = np.argsort(-counts, kind="stable")

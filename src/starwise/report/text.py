@@ -33,13 +33,15 @@ def solve_text(provenance: Mapping[str, Any], directory: str | Path, elapsed_s: 
     """Screen after ``starwise solve``: what was read, used, refused and found, and where it is."""
     config, summary = provenance["config"], provenance["summary"]
     lines = [*_read_lines(provenance), ""]
-    lines += _field("method", f"{config['method']}, mask {config['mask_deg']:g} deg")
+    errors = "errors as states" if config.get("error_model") == "colored" else "errors white"
+    lines += _field("method", f"{config['method']}, {errors}, mask {config['mask_deg']:g} deg")
     if config["method"] != "lsq":
         lines += _field("dynamics", _dynamics(provenance["dynamics"]))
     lines += _field("ephemeris", _ephemeris(provenance))
     lines += _system_lines(summary)
     lines += _refused_lines(summary)
     lines += ["", *_result_lines(summary)]
+    lines += _event_lines(provenance)
     lines += _notes(provenance)
     lines += ["", *_field("results", f"{directory}/  solution.parquet ledger.parquet solution.pos run.json")]
     lines += _field("time", f"{elapsed_s:.2f} s")
@@ -83,7 +85,9 @@ def _system_lines(summary: Mapping[str, Any]) -> list[str]:
     lines = []
     for letter, item in summary.get("systems", {}).items():
         if item["rows_used"]:
-            signals = ", ".join(f"{name} {_share(count, item['rows_used'])}" for name, count in item["signals"].items())
+            total = sum(item["signals"].values())
+            often = [(name, count) for name, count in item["signals"].items() if 200 * count >= total]
+            signals = ", ".join(f"{name} {_share(count, total)}" for name, count in often)
             lines += _field(
                 SYSTEM_NAMES[letter],
                 f"{item['satellites_used']} of {item['satellites']} satellites used, on {signals}",
@@ -121,6 +125,15 @@ def _result_lines(summary: Mapping[str, Any]) -> list[str]:
     if summary["speed_mean_mps"] is not None:
         lines += _field("speed", f"{summary['speed_mean_mps']:.2f} m/s on average")
     return lines
+
+
+def _event_lines(provenance: Mapping[str, Any]) -> list[str]:
+    events = provenance.get("events", ())
+    lines: list[str] = []
+    for event in events[:6]:
+        who = event["satellite"] or SYSTEM_NAMES[event["constellation"]]
+        lines += _field("" if lines else "events", f"{event['gpst']} {who}: {event['cause']}, {event['size_m']:.1f} m")
+    return [*lines, *_field("", f"and {len(events) - 6} more in run.json")] if len(events) > 6 else lines
 
 
 def _notes(provenance: Mapping[str, Any]) -> list[str]:
