@@ -164,6 +164,9 @@ def observability(
     """
     window = system.part(first, len(system) if count is None else count)
     O = observability_matrix(window)  # noqa: E741
+    W = np.asarray(O.T @ O)
+    if len(O) > system.n:
+        O = np.asarray(np.linalg.qr(O, mode="r"))  # noqa: E741 - the same information in n rows
     if scale is not None:
         units = np.asarray(scale, dtype=np.float64)
     elif prior is not None:
@@ -178,7 +181,6 @@ def observability(
     s_even, V_even = _singular(O * even)
     rank = int((s_even > tolerance * s_even[0]).sum()) if s_even[0] > 0.0 else 0
     lost = V_even[rank:].T * even[:, None] if rank < system.n else np.empty((system.n, 0))
-    W = np.asarray(O.T @ O)
     ratio = np.full(system.n, np.nan)
     if prior is not None:
         ratio = np.sqrt(np.diag(_updated(np.asarray(prior), O)) / np.diag(prior))
@@ -282,19 +284,16 @@ def _bounds(J: F8) -> F8:
 
 
 def _singular(A: F8) -> tuple[F8, F8]:
-    """All n singular values of A (m, n), padded with 0, and all n right singular vectors as rows."""
+    """All n singular values of A (m, n), m <= n, padded with 0, and all n right singular vectors as rows."""
     n = A.shape[1]
-    if len(A) > n:
-        A = np.asarray(np.linalg.qr(A, mode="r"))
     _, s, V = np.linalg.svd(A, full_matrices=True)
     return np.concatenate([s, np.zeros(n - len(s))]), V
 
 
 def _updated(P0: F8, O: F8) -> F8:  # noqa: E741
     """Covariance P0 with the information O' O added; works for a prior that is not of full rank."""
-    G: F8 = np.asarray(np.linalg.qr(O, mode="r")) if len(O) > len(P0) else O
-    S = G @ P0 @ G.T + np.eye(len(G))
-    return np.asarray(P0 - P0 @ G.T @ np.linalg.solve(S, G @ P0))
+    S = O @ P0 @ O.T + np.eye(len(O))
+    return np.asarray(P0 - P0 @ O.T @ np.linalg.solve(S, O @ P0))
 
 
 def sparse_directions(basis: F8, layout: Layout, scale: F8, strengths: Sequence[float]) -> tuple[Direction, ...]:
