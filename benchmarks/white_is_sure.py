@@ -12,6 +12,7 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+
 from datasets import DATA, ROOT, STATIC, truth_ecef
 
 matplotlib.use("Agg")
