@@ -72,7 +72,14 @@ def solve(
     ] = None,
     method: Annotated[
         str | None,
-        typer.Option(metavar="lsq|ekf|s3ekf", help="Estimator; default s3ekf. With --imu: loose (default) or tight."),
+        typer.Option(
+            metavar="lsq|ekf|s3ekf|federated",
+            help="Estimator; default s3ekf; federated: a filter per constellation, fused. With --imu: loose (default) "
+            "or tight.",
+        ),
+    ] = None,
+    share: Annotated[
+        str | None, typer.Option(metavar="auto|G=..,R=..", help="Shares of the federated filter; default auto.")
     ] = None,
     imu: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Inertial readings: adds attitude and sensor biases.")
@@ -140,6 +147,7 @@ def solve(
     began = time.perf_counter()
     named = {
         "method": method,
+        "share": share,
         "error_model": error_model,
         "systems": systems,
         "mask_deg": mask,

@@ -61,8 +61,11 @@ class ClockNoise(Checked):
 class RunConfig(Checked):
     """Options of ``starwise solve``; the effective values stand in ``run.json`` beside every result."""
 
-    method: Literal["lsq", "ekf", "s3ekf"] = "s3ekf"
-    """Least squares per epoch, EKF (all satellites at once), or EKF satellite by satellite."""
+    method: Literal["lsq", "ekf", "s3ekf", "federated"] = "s3ekf"
+    """Least squares per epoch, EKF (all satellites at once), EKF satellite by satellite, or one of these per
+    constellation, fused by a master that takes faulty constellations out."""
+    share: str = "auto"
+    """federated: parts of what the constellations have in common, ``G=0.4,R=0.1,...``; auto: by their accuracy."""
     systems: str = "GRECJ"
     """Satellite systems to position with, letters as in RINEX."""
     dynamics: Literal["auto", "static", "pedestrian", "vehicle", "aircraft"] = "auto"
@@ -119,6 +122,7 @@ class RunConfig(Checked):
                 found=self.systems,
                 wanted=f"letters of {SYSTEMS}, like GRECJ",
             )
+        parse_shares(self.share)
         for name in self.exclude:
             sv_id(name)
         for system, names in (self.signals or {}).items():
@@ -143,6 +147,29 @@ class RunConfig(Checked):
     def end_ns(self) -> int | None:
         """`end` as GPST, ns, or None."""
         return None if self.end is None else parse_time(self.end)
+
+
+def parse_shares(text: str) -> dict[str, float] | None:
+    """Shares by system letter of ``G=0.4,R=0.1``, as given; None: auto.
+
+    Raises
+    ------
+    StarwiseError
+        Not a list of systems with positive numbers.
+    """
+    if text.strip() == "auto":
+        return None
+    shares: dict[str, float] = {}
+    for item in text.split(","):
+        name, _, number = (part.strip() for part in item.partition("="))
+        try:
+            value = float(number)
+        except ValueError:
+            value = 0.0
+        if len(name) != 1 or name not in SYSTEMS or name in shares or not 0.0 < value < float("inf"):
+            raise StarwiseError("'share' is not readable", found=item, wanted="auto, or like G=0.4,R=0.1,E=0.3,C=0.2")
+        shares[name] = value
+    return shares
 
 
 def load_config(path: str | Path | None = None, options: Mapping[str, Any] | None = None) -> RunConfig:

@@ -53,8 +53,9 @@ def solve_run(
     config, dynamics = settle_dynamics(obs, ephemeris, ionosphere, config)
     prepared = prepare(obs, ephemeris, ionosphere, config)
     say(config.method, 0.3)
-    ep, out = _estimate(prepared, config)
+    ep, out, events = _estimate(prepared, config)
     say("ledger", 0.8)
+    notes = [*prepared.notes, *_filter_notes(ep, config)]
     solution = Solution(
         t_ns=obs.t_ns,
         status=ep.status,
@@ -71,18 +72,24 @@ def solve_run(
         nis=ep.nis,
         dof=ep.dof,
         ledger=make_ledger(obs, prepared, out),
-        provenance={"dynamics": dynamics, "notes": [*prepared.notes, *_filter_notes(ep, config)]},
+        provenance={"dynamics": dynamics, "notes": notes, **events},
     )
     say("done", 1.0)
     return solution
 
 
-def _estimate(prepared: Prepared, config: RunConfig) -> tuple[EpochOut, RowModel]:
+def _estimate(prepared: Prepared, config: RunConfig) -> tuple[EpochOut, RowModel, dict[str, Any]]:
+    """Outputs per epoch and row, and what else belongs to the provenance."""
     if config.method == "lsq" and config.error_model == "white":
-        return least_squares(prepared, config)
+        return *least_squares(prepared, config), {}
+    if config.method == "federated":
+        from starwise.estimators.federated_run import run_federated
+
+        ep, out, events = run_federated(prepared, config)
+        return ep, out, {"events": [event.record() for event in events]}
     from starwise.estimators.filter import run_filter
 
-    return run_filter(prepared, config)
+    return *run_filter(prepared, config), {}
 
 
 def _filter_notes(ep: EpochOut, config: RunConfig) -> tuple[str, ...]:

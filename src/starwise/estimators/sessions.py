@@ -82,8 +82,13 @@ def joined(parts: list[Solution]) -> Solution:
         clock_names=names,
         extra={key: np.concatenate([part.extra[key] for part in parts]) for key in parts[0].extra},
         ledger={key: np.concatenate([part.ledger[key] for part in parts]) for key in parts[0].ledger},
-        provenance={**parts[0].provenance, "notes": _notes(parts)},
+        provenance={**parts[0].provenance, "notes": _notes(parts), **_events(parts)},
     )
+
+
+def _events(parts: list[Solution]) -> dict[str, Any]:
+    found = [part.provenance["events"] for part in parts if "events" in part.provenance]
+    return {"events": [event for events in found for event in events]} if found else {}
 
 
 def _notes(parts: list[Solution]) -> list[str]:

@@ -239,7 +239,7 @@ def filter_run(
         if options.memoryless:
             running, lost, failed = False, True, 0
         t_last = t_ns
-        failing = running and (failed >= options.patience or weak >= 2 * options.patience)
+        failing = running and (failed >= options.patience or weak >= options.weak_patience)
         if lost or failing:
             desperate = not running or failed >= 2 * options.patience
             soon = e - e_start <= SOON_EPOCHS or t_ns - t_start <= SOON_NS

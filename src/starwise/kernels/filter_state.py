@@ -20,6 +20,7 @@ class FilterOptions(NamedTuple):
     gate2: float
     chi2: F8  # (k,) thresholds of the whole-epoch test by degrees of freedom; the last serves all above
     patience: int  # consecutive epochs that may fail before the filter is declared lost
+    weak_patience: int  # the same in which codes were gated and the rest was too few to check itself
     velocity_sigma0: float  # start without Doppler, m/s
     acceleration_sigma0: float  # m/s^2
     drift_sigma0: float  # m/s

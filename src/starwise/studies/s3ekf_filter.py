@@ -85,7 +85,7 @@ def solve_paper(
     if not gated:
         options = options._replace(gate1=np.inf, gate2=np.inf)
     if not restarts:
-        options = options._replace(patience=1 << 30, lost_sigma_m=np.inf)
+        options = options._replace(patience=1 << 30, weak_patience=1 << 30, lost_sigma_m=np.inf)
     n = motion.nk + 2 * sky.n_clocks
     x0, P0 = start if start is not None else (np.full(n, np.nan), np.zeros((n, n)))
     ep, out = empty_epochs(len(sky.epochs.t_ns), sky.n_clocks), empty_row_model(len(sky.rows.code_m))
