@@ -166,7 +166,7 @@ def observability(
     O = observability_matrix(window)  # noqa: E741
     W = np.asarray(O.T @ O)
     if len(O) > system.n:
-        O = np.asarray(np.linalg.qr(O, mode="r"))  # noqa: E741 - the same information in n rows
+        O = _compressed(O)  # noqa: E741 - the same information in n rows
     if scale is not None:
         units = np.asarray(scale, dtype=np.float64)
     elif prior is not None:
@@ -281,6 +281,15 @@ def _bounds(J: F8) -> F8:
         var = (V[:, seen] ** 2 / lam[seen]).sum(axis=1)
     hidden = (V[:, ~seen] ** 2).sum(axis=1) > 1e-9
     return np.asarray(np.where(hidden, np.inf, np.sqrt(var) / d))
+
+
+def _compressed(A: F8) -> F8:
+    """Triangle R (n, n) with R' R = A' A, A (m, n): block by block, too small for BLAS to wake its threads."""
+    n = A.shape[1]
+    R = A[:n]
+    for first in range(n, len(A), 4 * n):
+        R = np.asarray(np.linalg.qr(np.concatenate([R, A[first : first + 4 * n]]), mode="r"))
+    return R
 
 
 def _singular(A: F8) -> tuple[F8, F8]:
