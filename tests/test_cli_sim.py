@@ -59,7 +59,7 @@ def test_files_of_a_run(scenario: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert read_obs(out / record["files"]["observations"]).n_epochs == 21
     solution = starwise.solve(
         out / record["files"]["observations"], out / record["files"]["navigation"], method="lsq",
-        ionosphere="none", troposphere="none",
+        error_model="white", ionosphere="none", troposphere="none",
     )  # fmt: skip
     truth = pl.read_parquet(out / record["files"]["truth"])
     off = np.linalg.norm(solution.pos_e - truth.select("pos_x_m", "pos_y_m", "pos_z_m").to_numpy(), axis=1)
