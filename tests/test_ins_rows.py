@@ -18,8 +18,9 @@ from starwise.kernels.ins_rows import (
     rest_rows,
     velocity_rows,
 )
+from starwise.kernels.ins_run import new_motion
 from starwise.kernels.ins_smooth import NODE, TRANSITION, Records, smooth
-from starwise.kernels.ins_state import At, update
+from starwise.kernels.ins_state import At, predict, reset_transition, update
 from starwise.kernels.strapdown import dcm
 from starwise.models.inertial import inertial_state
 from starwise.models.process import Clocks
@@ -200,3 +201,26 @@ def test_states_have_names_and_places() -> None:
     assert STATE.sigma[AT.mount] == pytest.approx(math.radians(10.0))
     assert (STATE.rate[9:15] > 0.0).all()  # Markov, with constant parts beside them
     assert (STATE.rate[AT.bgc : AT.bgc + 3] == 0.0).all()
+
+
+@pytest.mark.laws
+def test_prediction_is_the_transition_that_smoothing_is_told_of() -> None:
+    """P = Phi P Phi' with all options, biases that forget within a second, and no noise."""
+    rng = np.random.default_rng(5)
+    A = rng.normal(size=(N, N))
+    P = A @ A.T
+    before, est, mo, rate = P.copy(), EST.copy(), new_motion(N), np.zeros(N)
+    rate[9:] = np.where(np.arange(9, N) < AT.clk, 1.0, 0.0)  # 1/s
+    dcm(NAV, mo.C)
+    reset_transition(N, mo)
+    none = np.zeros((1, 3))
+    dtheta, dv, dt = np.array([[0.01, -0.02, 0.03]]), np.array([[0.2, -0.1, -0.98]]), 0.1
+    for _ in range(3):
+        predict(NAV.copy(), est, P, N, AT, dtheta, dv, 0, 1.0, dt, none, none, rate, np.zeros(N), True, mo)
+    Phi = np.diag(mo.diag)
+    Phi[:9] = mo.top
+    Phi[AT.clk, AT.clk + 1] = mo.since[0]
+    assert mo.diag[9] == pytest.approx(math.exp(-0.3), abs=1e-3)  # second order in 0.1
+    # of variances of about 40, rounding; a factor of 0.9 in the wrong place is 1e-2
+    np.testing.assert_allclose(P, Phi @ before @ Phi.T, atol=1e-9)
+    np.testing.assert_array_equal(P, P.T)

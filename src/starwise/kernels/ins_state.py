@@ -54,7 +54,7 @@ class Motion(NamedTuple):
     top: F8  # (9, n) rows of the transition since the last record
     diag: F8  # (n,) diagonal of it
     since: F8  # (1,) s of it
-    omega: F8  # (3,) angular rate against the Earth, body axes, low-passed
+    omega: F8  # (3,) angular rate against inertial space (the Earth's: 0.07 mm/s per m of arm), body axes, low-passed
     force: F8  # (3,) acceleration, navigation axes, low-passed
 
 
@@ -178,6 +178,13 @@ def predict(
             if t != 0.0:
                 for j in range(n):
                     W[r, j] += t * P[k, j]
+    for r in range(9):
+        for s in range(r + 1):
+            t = 0.0
+            for k in range(n):
+                t += W[r, k] * T[s, k]
+            P[r, s] = t
+            P[s, r] = t
     for k in range(9, n):
         d = 1.0 - dt * rate[k] * (1.0 - 0.5 * dt * rate[k])
         if rate[k] > 0.0:
@@ -201,12 +208,6 @@ def predict(
         P[c, c + 1] += 0.5 * p
         P[c + 1, c] += 0.5 * p
     for r in range(9):
-        for s in range(r + 1):
-            t = 0.0
-            for k in range(n):
-                t += W[r, k] * T[s, k]
-            P[r, s] = t
-            P[s, r] = t
         for j in range(9, n):
             P[r, j] = W[r, j]
             P[j, r] = W[r, j]
