@@ -9,7 +9,7 @@ import numpy as np
 
 from starwise import __version__
 from starwise.api import PathLike, Progress, _check, _ephemeris, _input_records, _problem, _station
-from starwise.checked import merged, nested, read_toml, with_line
+from starwise.checked import merged, nested, read_toml, with_file, with_line
 from starwise.config import RunConfig
 from starwise.config_inertial import InertialConfig
 from starwise.errors import StarwiseError
@@ -66,6 +66,11 @@ def solve_inertial(
     """
     say = progress or (lambda _what, _fraction: None)
     run, chosen, given = _configs(imu_config, config, options or {})
+    if fixes is not None and chosen.method == "tight":
+        raise StarwiseError("tight coupling wants satellites", found="--fixes", wanted="RINEX files, or --method loose")
+    unused = sorted(given - set(_WITH_FIXES)) if fixes is not None else []
+    if unused:
+        raise StarwiseError("an option that fixes have no use for", found=unused[0], wanted=", ".join(_WITH_FIXES))
     if (fixes is None) == (not files):
         wanted = "RINEX files, or --fixes FILE" if fixes is None else "one of them: RINEX files, or --fixes"
         raise StarwiseError("inertial readings want something to aid them", wanted=wanted)
@@ -76,12 +81,17 @@ def solve_inertial(
     records = [_record("inertial", imu)]
     if fixes is not None:
         records.append(_record("fixes", fixes))
-        solution = _with_fixes(fixes, inertial, run, chosen, given, say)
     else:
         inputs = sort_inputs(tuple(files))
         _check(inputs)
         records = [*_input_records(inputs), *records]
-        solution = _with_satellites(inputs, inertial, run, chosen, say)
+    try:
+        if fixes is not None:
+            solution = _with_fixes(fixes, inertial, run, chosen, say)
+        else:
+            solution = _with_satellites(inputs, inertial, run, chosen, say)
+    except StarwiseError as error:
+        raise with_file(error, str(imu)) from None
     from starwise.report.summary import summarise
 
     provenance: dict[str, Any] = {
@@ -145,17 +155,10 @@ def _record(kind: str, path: PathLike) -> dict[str, Any]:
     return {"kind": kind, "path": str(path), "bytes": file.stat().st_size, "sha256": sha256(file)}
 
 
-def _with_fixes(
-    fixes: PathLike, inertial: Inertial, run: RunConfig, config: InertialConfig, given: set[str], say: Progress
-) -> Solution:
+def _with_fixes(fixes: PathLike, inertial: Inertial, run: RunConfig, config: InertialConfig, say: Progress) -> Solution:
     from starwise.estimators.ins import loose
     from starwise.estimators.ins_tight import fixes_of
 
-    if config.method == "tight":
-        raise StarwiseError("tight coupling wants satellites", found="--fixes", wanted="RINEX files, or --method loose")
-    unused = sorted(given - set(_WITH_FIXES))
-    if unused:
-        raise StarwiseError("an option that fixes have no use for", found=unused[0], wanted=", ".join(_WITH_FIXES))
     read = read_solution(Path(fixes), ledger=False)
     keep = np.ones(read.n_epochs, dtype=bool)
     if run.start_ns is not None:

@@ -88,6 +88,10 @@ class InertialConfig(Checked):
     velocity_lag_s: Annotated[float, Range(-1.0, 1.0)] = 0.0
     """Velocities of fixes are valid so long before their tags, s (filters of receivers)."""
     use_velocity: bool = True
+    fix_sigma_m: NotNegative = 0.0
+    """1 sigma of fixes that claim none (NMEA, columns that are absent or zero), m per axis; 0: they are not used."""
+    velocity_sigma_mps: NotNegative = 0.0
+    """The same for their velocities, m/s."""
     gyro: GyroNoise = field(default_factory=GyroNoise)
     accel: AccelNoise = field(default_factory=AccelNoise)
     constant_bias: bool = False

@@ -274,7 +274,7 @@ def delay_check(
     Parameters
     ----------
     v, signature : (n, m) array_like
-        Innovations, m, and what a delay of 1 s adds to them (see `starwise.kernels.late.fault_signature`).
+        Innovations, m, and what a delay of 1 s adds to them (see `starwise.estimators.late.delay_response`).
     S : (n, m, m) array_like
     effect : (m,) array_like
         What a delay of 1 s does to the position of the latest belief, m.

@@ -10,7 +10,7 @@ from starwise.chi2 import chi_square_points
 from starwise.config_inertial import InertialConfig
 from starwise.errors import StarwiseError
 from starwise.estimators.ins_align import FixTable, Start, align
-from starwise.estimators.ins_check import NIS_ALARM, lag_note, mean_nis, shifted, what_if
+from starwise.estimators.ins_check import NIS_ALARM, lag_note, mean_nis, shifted, start_note, what_if
 from starwise.estimators.ins_output import Aids, InertialRun, empty_out, empty_records, join_runs, packed
 from starwise.frames import geodetic_from_ecef, rotations_ne_enu
 from starwise.kernels.ins_run import (
@@ -74,16 +74,27 @@ def fix_table(fixes: Fixes, t0_ns: int, end_s: float, config: InertialConfig) ->
     Raises
     ------
     StarwiseError
-        No fix within the readings.
+        No fix within the readings, or none that says how good it is.
     """
-    notes = []
+    notes: list[str] = []
     t = (fixes.t_ns - t0_ns) * 1e-9
     order = np.argsort(t, kind="stable")
+    cov_pos, cov_vel = _claimed(fixes, config, notes)
     good = np.asarray(np.isfinite(fixes.pos_e).all(axis=1))
+    bare = good & ~np.isfinite(cov_pos).all(axis=(1, 2))
+    if bare.any() and bare.sum() == good.sum():
+        raise StarwiseError(
+            "fixes that claim no sigmas", file=fixes.source or None, found=f"{fixes.n} fixes",
+            wanted="their sigmas, or one for all: inertial.fix_sigma_m",
+        )  # fmt: skip
+    if bare.any():
+        notes.append(f"{int(bare.sum())} fixes claim no sigmas: not used (inertial.fix_sigma_m)")
+    good &= ~bare
     inside = (t >= 0.0) & (t <= end_s)
     if not (good & inside).any():
         raise StarwiseError(
             "no fix within the inertial readings",
+            file=fixes.source or None,
             found=f"{fixes.n} fixes from {t.min():.1f} to {t.max():.1f} s" if fixes.n else "no fixes",
             wanted=f"0 to {end_s:.1f} s after the first reading: time scales, offsets?",
         )
@@ -91,35 +102,56 @@ def fix_table(fixes: Fixes, t0_ns: int, end_s: float, config: InertialConfig) ->
         notes.append(f"{int((good & ~inside).sum())} fixes before or after the inertial readings: not used")
     llh = geodetic_from_ecef(np.where(good[:, None], fixes.pos_e, 1e7))
     C = rotations_ne_enu(llh[:, 0], llh[:, 1])[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])[:, None]
-    cov = C @ fixes.cov_pos @ C.transpose(0, 2, 1)
+    cov = C @ cov_pos @ C.transpose(0, 2, 1)
     use = order[(good & inside)[order]]
     pos = use[np.concatenate([[True], np.diff(t[use]) > 1e-6])]
     if len(pos) < len(use):
         notes.append(f"{len(use) - len(pos)} fixes with the time of the one before: not used")
     cov_p, changed = _floored(cov[pos], LEAST_SIGMA_M)
     if changed:
-        notes.append(f"{changed} fixes claim sigmas below {LEAST_SIGMA_M} m or none: taken as that")
+        notes.append(f"{changed} fixes claim sigmas below {LEAST_SIGMA_M} m: taken as that")
     tv, vel, cov_v = np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3))
-    if fixes.vel_e is not None and fixes.cov_vel is not None:
+    if fixes.vel_e is not None and cov_vel is not None:
         t_vel = t - config.velocity_lag_s
         has = np.asarray(good & np.isfinite(fixes.vel_e).all(axis=1) & (t_vel >= 0.0) & (t_vel <= end_s))
+        bare = has & ~np.isfinite(cov_vel).all(axis=(1, 2))
+        if bare.any():
+            notes.append(f"{int(bare.sum())} velocities claim no sigmas: not used (inertial.velocity_sigma_mps)")
+        has &= ~bare
         k = pos[has[pos]]
         vel_n = (C[k] @ fixes.vel_e[k, :, None])[:, :, 0]
-        cov_v, changed = _floored(C[k] @ fixes.cov_vel[k] @ C[k].transpose(0, 2, 1), LEAST_SIGMA_MPS)
+        cov_v, changed = _floored(C[k] @ cov_vel[k] @ C[k].transpose(0, 2, 1), LEAST_SIGMA_MPS)
         if changed:
-            notes.append(f"{changed} velocities claim sigmas below {LEAST_SIGMA_MPS} m/s or none: taken as that")
+            notes.append(f"{changed} velocities claim sigmas below {LEAST_SIGMA_MPS} m/s: taken as that")
         tv, vel = t_vel[k], vel_n
     return FixTable(t[pos], llh[pos], cov_p, tv, np.ascontiguousarray(vel), cov_v), notes
 
 
+def _claimed(fixes: Fixes, config: InertialConfig, notes: list[str]) -> tuple[F8, F8 | None]:
+    """Covariances of positions and velocities, with the configured sigma where fixes claim none or zero."""
+    told: list[F8 | None] = []
+    kinds = (
+        ("fixes", fixes.cov_pos, config.fix_sigma_m, "m"),
+        ("velocities", fixes.cov_vel, config.velocity_sigma_mps, "m/s"),
+    )
+    for what, cov, sigma, unit in kinds:
+        if cov is None or sigma <= 0.0:
+            told.append(cov)
+            continue
+        none = np.asarray(~(np.isfinite(cov).all(axis=(1, 2)) & (np.einsum("kii->k", cov) > 0.0)))
+        if none.any():
+            notes.append(f"{int(none.sum())} {what} claim no sigmas: taken as {sigma:g} {unit}")
+        told.append(np.where(none[:, None, None], sigma**2 * np.eye(3), cov))
+    assert told[0] is not None
+    return told[0], told[1]
+
+
 def _floored(cov: F8, least: float) -> tuple[F8, int]:
-    """Covariances with standard deviations of at least ``least``; what is not finite becomes that."""
-    bad = np.asarray(~np.isfinite(cov).all(axis=(1, 2)))
-    cov = np.where(bad[:, None, None], 0.0, cov)
+    """Covariances with standard deviations of at least ``least``, and how many had less."""
     diagonal = np.einsum("kii->ki", cov)
     low = (diagonal < least**2).any(axis=1)
     add = np.maximum(least**2 - diagonal, 0.0)
-    return np.ascontiguousarray(cov + add[:, :, None] * np.eye(3)), int((low | bad).sum())
+    return np.ascontiguousarray(cov + add[:, :, None] * np.eye(3)), int(low.sum())
 
 
 def loose(
@@ -170,7 +202,7 @@ def _loose(
         extra = np.asarray((epochs_ns - t0) * 1e-9, dtype=np.float64)
     start = align(iv, table, state, config)
     run = run_filter(iv, table, start, state, config, extra, baro, odometer)
-    told = [*iv.notes, *notes, *lag_note(plain, config)]
+    told = [*iv.notes, *notes, *start_note(table.t, start.t_s), *lag_note(plain, config)]
     nis = _both_nis(run, config)
     if nis > NIS_ALARM:
         told.append(_contradiction(iv, table, state, config, nis))
@@ -195,7 +227,7 @@ def _contradiction(iv: Intervals, table: FixTable, state: InertialState, config:
         run = run_filter(iv, moved, align(iv, moved, state, plain), state, plain, np.zeros(0))
         return _both_nis(run, plain)
 
-    base = f"fixes and inertial readings contradict each other: NIS {nis:.1f} per degree of freedom, 1 as claimed"
+    base = f"fixes and inertial readings contradict each other: NIS of positions and velocities {nis:.1f}, 1 as claimed"
     best, there = what_if(nis_of)
     if there < 0.5 * nis and abs(best) > 0.02:
         way = "earlier" if best < 0.0 else "later"
@@ -252,7 +284,9 @@ def run_filter(
         grid = np.asarray(np.arange(math.ceil(start.t_s / step), math.floor(end / step) + 1) * step)
     aided = table.t if sky is None else sky.t
     nodes = np.concatenate([aided, extra_s, grid])
-    nodes = np.unique(np.rint(nodes[(nodes > start.t_s + 1e-6) & (nodes <= end)] * 1e6)) * 1e-6
+    nodes = nodes[(nodes > start.t_s + 1e-6) & (nodes <= end)]
+    # One epoch per microsecond, at the very time of the measurement if there is one: an earlier one would not have it.
+    nodes = nodes[np.unique(np.rint(nodes * 1e6), return_index=True)[1]]
     car = config.vehicle
     marks = np.arange(start.t_s, end, car.interval_s)[1:] if car.constraint else np.zeros(0)
     baro_t, baro_z = _scalar_table(baro, t0)

@@ -62,6 +62,14 @@ def lag_note(table: FixTable, config: InertialConfig) -> list[str]:
     ]
 
 
+def start_note(t: F8, start_s: float) -> list[str]:
+    """A note on fixes (times in s since the first reading) before the alignment, which get no epoch."""
+    before = int((t < start_s - 1e-6).sum())
+    if not before:
+        return []
+    return [f"aligned {start_s:.1f} s after the first reading: {before} fixes before that are without an epoch"]
+
+
 def mean_nis(nis: F8) -> float:
     """Mean NIS per degree of freedom (3 each), single values capped at `NIS_CAP`; NaN without any."""
     told = nis[np.isfinite(nis)] / 3.0

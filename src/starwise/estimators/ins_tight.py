@@ -10,8 +10,10 @@ from starwise.config_inertial import InertialConfig
 from starwise.errors import StarwiseError
 from starwise.estimators.ins import SkyTable, fix_table, run_filter
 from starwise.estimators.ins_align import align
+from starwise.estimators.ins_check import start_note
 from starwise.estimators.ins_output import InertialRun, join_runs
 from starwise.estimators.run import make_ledger, solve_run
+from starwise.gnsstime import iso
 from starwise.kernels.ins_tight import Seen, Sky
 from starwise.models.inertial import inertial_state, intervals, stretches
 from starwise.models.process import clocks_from
@@ -84,7 +86,14 @@ def _tight(
     epochs_ns: I8 | None,
 ) -> InertialRun:
     """One stretch of readings without long gaps."""
+    whole = obs
     obs = obs.between(int(inertial.t_ns[0]), int(inertial.t_ns[-1]))
+    if not len(obs.t_ns) and len(whole.t_ns):
+        raise StarwiseError(
+            "no epoch of the observations within the inertial readings",
+            found=f"{iso(int(whole.t_ns[0]))} to {iso(int(whole.t_ns[-1]))}",
+            wanted=f"{iso(int(inertial.t_ns[0]))} to {iso(int(inertial.t_ns[-1]))}: time scales, offsets?",
+        )
     iv = intervals(inertial, config)
     t0, end = int(iv.t_ns[0]), float(iv.read.t[-1])
     first = solve_run(obs, ephemeris, ionosphere, run.with_options({"method": "lsq"}))
@@ -113,6 +122,6 @@ def _tight(
         clock_sigma_m=sigma,
         clock_names=names,
         ledger=make_ledger(obs, prepared, rows),
-        provenance={"notes": [*iv.notes, *notes, *prepared.notes]},
+        provenance={"notes": [*iv.notes, *notes, *start_note(sky_t, start.t_s), *prepared.notes]},
     )
     return replace(result, solution=solution)

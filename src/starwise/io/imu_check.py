@@ -240,7 +240,7 @@ def _axes_order(omega: F8, f: F8, dt: float) -> ImuFinding | None:
     spread = np.std(_thinned(omega, n), axis=0)
     up = int(np.argmax(np.abs(f.mean(axis=0))))
     most = int(np.argmax(spread))
-    if most == up or spread[most] < 0.1 or spread[most] < 5.0 * spread[up]:
+    if most == up or spread[most] < 0.05 or spread[most] < 5.0 * spread[up]:
         return None
     return ImuFinding(
         "axes_order",

@@ -25,6 +25,7 @@ from starwise.constants import (
 from starwise.errors import StarwiseError
 from starwise.frames import C_ne_enu, ecef_from_geodetic, geodetic_from_ecef, rotations_ne_enu
 from starwise.gnsstime import GPS_EPOCH, from_calendar, label_to_gpst
+from starwise.io.files import read_bytes
 from starwise.types import Solution
 
 F8 = NDArray[np.float64]
@@ -153,11 +154,7 @@ def read_pos(path: str | Path) -> Solution:
         Not such a file, or a line that does not fit its header.
     """
     path = Path(path)
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise StarwiseError(f"cannot be read ({error.strerror})", file=path) from None
-    return parse_pos(raw, str(path))
+    return parse_pos(read_bytes(path), str(path))
 
 
 def parse_pos(raw: bytes, name: str) -> Solution:

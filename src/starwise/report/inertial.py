@@ -35,7 +35,8 @@ def inertial_text(solution: Solution, directory: str | Path, elapsed_s: float) -
         told = np.isfinite(solution.nis) & (solution.dof > 0)
         if told.any():
             ratio = float(solution.nis[told].sum() / solution.dof[told].sum())
-            lines += field("NIS", f"{ratio:.2f} per degree of freedom (1 where errors are as claimed)")
+            of = "of the satellites" if p["config"]["method"] == "tight" else "of the positions"
+            lines += field("NIS", f"{ratio:.2f} {of}, per degree of freedom (1 where errors are as claimed)")
         sigma = np.sqrt(np.trace(solution.cov_pos, axis1=1, axis2=2))
         lines += field("claimed", f"{np.median(sigma):.2f} m (1 sigma, 3D, median), at most {sigma.max():.2f} m")
         lines += ["", *field("at the end", "estimate and 1 sigma")]
@@ -47,6 +48,6 @@ def inertial_text(solution: Solution, directory: str | Path, elapsed_s: float) -
         lines += field("note", str(note))
     for item in sorted(p.get("problems", ()), key=lambda problem: -problem["count"])[:5]:
         lines += field("problem", f"{item['what']} ({item['count']} x, first {Path(item['file']).name}:{item['line']})")
-    lines += ["", *field("results", f"{directory}/  solution.parquet solution.pos run.json")]
+    lines += ["", *field("results", f"{directory}/  solution.parquet solution.pos ledger.parquet run.json")]
     lines += field("time", f"{elapsed_s:.2f} s")
     return "\n".join(lines)
