@@ -31,8 +31,8 @@ COMPILING = "compiling"
 """What a progress callback is told meanwhile."""
 TIMEOUT_S = 600.0
 PARTS = ("least-squares", "filter")
-EXTRA = ("rare",)
-"""Kernels for RINEX 2 and precise ephemerides: compiled only by ``starwise warmup``."""
+EXTRA = ("rare", "inertial")
+"""Kernels for RINEX 2 and precise ephemerides, and for inertial navigation: compiled only by ``starwise warmup``."""
 _MAIN = ("filter_run", "rinex_obs", "rinex_nav", "orbits", "select", "group_delay")
 """Kernel modules that import all others that a solution from RINEX 3 and 4 needs."""
 
@@ -284,13 +284,54 @@ def _rare() -> None:
     ephemeris.states(np.zeros(0, np.int64), np.zeros(0, np.int16), np.zeros(0))
 
 
+def _inertial() -> None:
+    """Compile inertial navigation on 20 s of made-up readings, smoothing included, and with satellites on nothing."""
+    import numpy as np
+
+    from starwise.config import RunConfig
+    from starwise.config_inertial import InertialConfig
+    from starwise.constants import NS
+    from starwise.estimators.ins import SkyTable, fix_table, loose, run_filter
+    from starwise.estimators.ins_align import align
+    from starwise.estimators.late import LateRows, LinearSystem, run_late
+    from starwise.frames import ecef_from_geodetic
+    from starwise.kernels.ins_tight import Seen, Sky
+    from starwise.models.inertial import inertial_state, intervals
+    from starwise.models.process import clocks_from
+    from starwise.types import Fixes, Inertial
+
+    t = np.arange(0, 20 * NS, NS // 20)
+    force = np.tile([0.0, 0.0, -9.8], (len(t), 1))
+    inertial = Inertial(t, np.full(len(t), 0.05), 1e-4 * np.sin(force + t[:, None]), force, False)
+    at = t[20:-20:20]
+    lat = 0.8 + 1e-6 * np.arange(len(at))  # 6 m/s to the north
+    pos = ecef_from_geodetic(np.stack([lat, np.zeros(len(at)), np.zeros(len(at))], axis=1))
+    vel = np.gradient(pos, axis=0)
+    cov = np.tile(np.eye(3), (len(at), 1, 1))
+    fixes = Fixes(at, at, pos, cov, vel, cov)
+    config = InertialConfig.from_dict({"smooth": True, "vehicle": {"constraint": True, "rest": True}})
+    loose(fixes, inertial, config)
+    run = RunConfig()
+    model, epochs, rows, out = _nothing(run)
+    iv, state = intervals(inertial, config), inertial_state(config, clocks=("G",), noise=clocks_from(run))
+    table, _ = fix_table(fixes, int(iv.t_ns[0]), float(iv.read.t[-1]), config)
+    nothing = np.zeros(0, np.int64)
+    sky = Sky(epochs, rows, model, 1.0, 1.0)
+    start = align(iv, table, state, config)
+    seen = Seen(out, nothing, nothing, np.zeros(0))
+    run_filter(iv, table, start, state, config, np.zeros(0), sky=SkyTable(np.zeros(0), sky, seen))
+    one = np.ones((1, 1, 1))
+    late = LateRows(np.zeros(1, np.int64), np.ones(1, np.int64), one[0], one, one[0])
+    run_late(LinearSystem(one, one, 1.0), late, one[0, 0], one[0])
+
+
 def main(part: str) -> None:
     """Compile one part in this process."""
     import gc
 
     # A compilation makes millions of objects that stay until it ends: looking for dead ones takes a tenth of the time.
     gc.set_threshold(100_000, 50, 100)
-    {"least-squares": _least_squares, "filter": _filter, "rare": _rare}[part]()
+    {"least-squares": _least_squares, "filter": _filter, "rare": _rare, "inertial": _inertial}[part]()
 
 
 if __name__ == "__main__":
