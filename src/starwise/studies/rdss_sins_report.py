@@ -259,8 +259,7 @@ def draw(result: Result, curves: Curves, base: Path) -> list[str]:
         fill(ax)
         ax.set(xlabel=xlabel, ylabel=ylabel)
         ax.grid(alpha=0.3)
-        if ax.get_legend_handles_labels()[0]:
-            ax.legend(frameon=False, fontsize="small")
+        fig.legend(loc="outside upper center", ncols=3, frameon=False, fontsize="small")
         fig.savefig(base / name, metadata={"Date": None})
         plt.close(fig)
         drawn.append(name)
@@ -283,7 +282,7 @@ def _fill_errors(ax: Any, c: dict[str, list[float]]) -> None:
     for axis, color in (("north", "C0"), ("east", "C1")):
         ax.plot(c["t_s"], c[f"optimal_prediction_{axis}_m"], color=color, lw=1.0, label=axis)
         two = [2.0 * s for s in c[f"sigma_{axis}_m"]]
-        ax.plot(c["t_s"], two, color=color, lw=0.7, ls="--")
+        ax.plot(c["t_s"], two, color=color, lw=0.7, ls="--", label="2 sigma" if axis == "east" else None)
         ax.plot(c["t_s"], [-s for s in two], color=color, lw=0.7, ls="--")
     ax.set_ylim(-40.0, 40.0)
 
@@ -292,7 +291,8 @@ def _fill_innovations(ax: Any, c: dict[str, list[float]]) -> None:
     for axis, color in (("north", "C0"), ("east", "C1")):
         v, s = c[f"v_{axis}_m"][-55:], c[f"s_{axis}_m"][-55:]
         ax.plot(range(1, len(v) + 1), v, color=color, lw=1.0, marker=".", label=axis)
-        ax.plot(range(1, len(v) + 1), [2.0 * x for x in s], color=color, lw=0.7, ls="--")
+        two = "2 sigma" if axis == "east" else None
+        ax.plot(range(1, len(v) + 1), [2.0 * x for x in s], color=color, lw=0.7, ls="--", label=two)
         ax.plot(range(1, len(v) + 1), [-2.0 * x for x in s], color=color, lw=0.7, ls="--")
 
 
@@ -325,14 +325,16 @@ def _fill_rho(ax: Any, result: Result) -> None:
         bound = result["paper"][kind]["bound"]
         ax.axhline(bound, color="k", lw=0.8, ls=style, label=f"all eight, {kind}")
         ax.axhline(-bound, color="k", lw=0.8, ls=style)
-    ax.axhline(0.2772, color="C3", lw=0.8, ls="--", label="0.2772")
+    ax.axhline(0.2772, color="C3", lw=0.8, ls="--", label="0.2772 of the paper")
     ax.axhline(-0.2772, color="C3", lw=0.8, ls="--")
 
 
 def _fill_methods(ax: Any, c: dict[str, list[float]]) -> None:
     for k, way in enumerate(("ignored", "estimated", "optimal_prediction", "replay", "cloning")):
         size = [(n * n + e * e) ** 0.5 for n, e in zip(c[f"{way}_north_m"], c[f"{way}_east_m"], strict=True)]
-        ax.semilogy(c["t_s"], size, color=f"C{k}", lw=2.4 if way == "optimal_prediction" else 1.0, label=_NAMES[way])
+        # three of them are one curve: wide, middle and narrow
+        width = {"optimal_prediction": 4.0, "replay": 2.2}.get(way, 0.8)
+        ax.semilogy(c["t_s"], size, color=f"C{k}", lw=width, label=_NAMES[way])
 
 
 def _fill_blind(ax: Any, result: Result) -> None:
@@ -344,6 +346,7 @@ def _fill_blind(ax: Any, result: Result) -> None:
         ("delay_wrong_rate", "delay found"),
         ("delay_unverifiable_rate", "called unverifiable"),
     ):
-        ax.plot(x, [r[key] for r in rows], marker=".", label=label)
+        ax.plot(x, [r[key] for r in rows], marker=".", label=label, clip_on=False)
     ax.set_xscale("symlog", linthresh=2.0)
     ax.set_xticks(x, [f"{value:g}" for value in x])
+    ax.set_xticks([], minor=True)
