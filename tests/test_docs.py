@@ -7,7 +7,10 @@ from pathlib import Path
 from handmade import HERE, handmade_solution
 from starwise.analysis.accuracy import assess
 from starwise.config import ClockNoise, ProcessNoise, RunConfig
+from starwise.config_inertial import AccelNoise, GyroNoise, InertialConfig, VehicleConfig
 from starwise.constants import EPOCH_STATUS_NAMES, ROW_STATUS_NAMES
+from starwise.estimators.ins_output import _UNITS
+from starwise.io.imu_config import ImuAccel, ImuFile, ImuGyro, ImuTime
 from starwise.io.results import solution_table
 from starwise.report.summary import summarise
 from starwise.types import Truth
@@ -39,5 +42,19 @@ def test_keys_of_reports() -> None:
 
 
 def test_keys_of_the_configuration() -> None:
-    for kind in (RunConfig, ProcessNoise, ClockNoise):
+    for kind in (RunConfig, ProcessNoise, ClockNoise, InertialConfig, GyroNoise, AccelNoise, VehicleConfig):
         assert {item.name for item in dataclasses.fields(kind)} <= NAMED
+
+
+def test_columns_of_inertial_results() -> None:
+    first = {"lever_arm_{}_m": "x", "mount_{}_deg": "yaw", "steer_{}": "slip"}
+    assert {name.format(first.get(name, "x")) for name, _ in _UNITS.values()} <= NAMED
+    assert {"roll_deg", "pitch_deg", "yaw_deg", "nis_per_dof", "final"} <= NAMED
+
+
+def test_keys_of_descriptions_of_inertial_files() -> None:
+    text = (ROOT / "docs" / "imu_files.md").read_text(encoding="utf-8")
+    described = {name.rpartition(".")[2] for name in re.findall(r"`([^`\n]+)`", text)}
+    described |= set(re.findall(r"^\[?(\w+)(?: = |\])", text, re.MULTILINE))  # of the example
+    for kind in (ImuFile, ImuTime, ImuGyro, ImuAccel):
+        assert {item.name for item in dataclasses.fields(kind)} - {"gyro", "accel"} <= described
