@@ -36,14 +36,20 @@ TWO_SIGMA: Final = 3.3  # each of two in a row, same sign: 5e-7
 SUM_SIGMA: Final = 5.0  # sums over WINDOWS epochs over the root of their number: 6e-7
 WINDOWS: Final = (5, 10)
 WINDOW_S: Final = 30.0  # beyond, what a model leaves out lasts, too
+LEAST_M: Final = 3.0  # what is smaller may be a reflection, and does little harm
+LEAST_TOGETHER_M: Final = 1.0  # of three satellites to the same side
 CLOCK_SIGMA: Final = 5.0
+CLOCK_CHANGES: Final = 0.1
+"""Part of a clock's variance that may change within `CLOCK_LAG_S`: its errors are those of orbits, atmosphere and
+biases, which last for 40 minutes and more (2 x 60 / 2400 = 5 %)."""
+CLOCK_FLOOR_M: Final = 0.7  # noise and multipath of codes, and satellites that come and go
 CLOCK_LAG_S: Final = 60.0
 SEPARATION: Final = 30.66  # chi-square, 3 degrees of freedom, 1e-6
 AGREEMENT: Final = 16.27  # 1e-3
 PATIENCE: Final = 2  # epochs in a row
 PROBATION_S: Final = 60.0
 PROBATION_EPOCHS: Final = 3
-QUIET_S: Final = 300.0  # what recurs sooner is the same event
+QUIET_S: Final = 60.0  # what recurs sooner is the same event
 BARRED_S: Final = 3600.0  # a named satellite stays out of a local filter that starts anew
 MAX_RESTARTS: Final = 20
 CHUNK: Final = 1024
@@ -101,8 +107,8 @@ class Alarms:
     size: F8
 
 
-def alarms(local: Local) -> Alarms:
-    """Tests of the code innovations of every satellite of a local filter."""
+def alarms(local: Local, least_m: float = LEAST_M) -> Alarms:
+    """Tests of the code innovations of every satellite of a local filter; those below ``least_m`` do not count."""
     t_ns = local.epochs.t_ns
     m = len(t_ns)
     epoch = np.repeat(np.arange(m), np.diff(local.epochs.offsets))
@@ -120,6 +126,7 @@ def alarms(local: Local) -> Alarms:
     for n in WINDOWS:
         if m >= n and n * step <= WINDOW_S:
             on[n - 1 :] |= (np.abs(_sums(t, n)) > SUM_SIGMA * np.sqrt(n)) & (_sums(seen, n) == n)
+    on &= np.abs(size) > least_m
     return Alarms(satellites, on, size)
 
 
@@ -139,7 +146,7 @@ def leaves(local: Local) -> NDArray[np.bool_]:
 
     Its clock goes away, and its rates do not say so.
     """
-    t_ns, found = local.epochs.t_ns, alarms(local)
+    t_ns, found = local.epochs.t_ns, alarms(local, LEAST_TOGETHER_M)
     count = np.zeros(len(t_ns), dtype=np.int64)
     if not found.on.any():
         return count > 0
@@ -161,13 +168,13 @@ def _apart(t_ns: I8, at: NDArray[np.intp]) -> list[int]:
     return [int(e) for i, e in enumerate(at) if i == 0 or t_ns[e] - t_ns[at[i - 1]] > QUIET_S * NS]
 
 
-def clock_events(made: Sequence[Local]) -> list[Event]:
-    """Clocks of constellations that leave the others'; takes three constellations to tell whose it is."""
+def clock_events(made: Sequence[Local], use: NDArray[np.bool_]) -> list[Event]:
+    """Clocks of constellations in ``use`` (m, K) that leave the others'; it takes three to tell whose it is."""
     t_ns = made[0].epochs.t_ns
     m, K = len(t_ns), len(made)
     if K < 3 or m < 3:
         return []
-    here = np.stack([(local.ep.n_used > 0) & (local.ep.status != EPOCH_COASTED) for local in made], axis=1)
+    here = use & np.stack([(local.ep.n_used > 0) & (local.ep.status != EPOCH_COASTED) for local in made], axis=1)
     clock = np.where(here, np.concatenate([local.ep.clock for local in made], axis=1), np.nan)
     var = np.where(here, np.concatenate([local.ep.clock_var for local in made], axis=1), np.nan)
     step = float(np.median(np.diff(t_ns))) / NS
@@ -177,7 +184,8 @@ def clock_events(made: Sequence[Local]) -> list[Event]:
             continue
         near = (t_ns[lag:] - t_ns[:-lag]) <= 2.0 * lag * max(step, 1e-3) * NS
         change = np.where(near[:, None], clock[lag:] - clock[:-lag], np.nan)
-        spread = np.maximum(var[lag:], var[:-lag])
+        # of an estimate that has learnt since: Var(x2 - x1) = P1 - P2
+        spread = CLOCK_CHANGES * var[lag:] + np.maximum(var[:-lag] - var[lag:], 0.0) + CLOCK_FLOOR_M**2
         for k in range(K):
             others = np.delete(np.arange(K), k)
             enough = np.isfinite(change[:, others]).sum(axis=1) >= 2
@@ -206,6 +214,18 @@ def _kind(clock: F8, e: int, k: int) -> str:
     now, then = clock[e] - clock[e - 1], clock[e + 1] - clock[e]
     first, second = (float(d[k] - np.nanmedian(d[others])) for d in (now, then))
     return CLOCK_JUMP if not abs(second) > 0.3 * abs(first) else CLOCK_DRIFT
+
+
+def in_order(events: Sequence[Event]) -> list[Event]:
+    """Events in the order of time; of those that are the same within `QUIET_S`, the first."""
+    last: dict[tuple[str, str | None, str], int] = {}
+    kept = []
+    for event in sorted(events, key=lambda event: event.t_ns):
+        key = (event.constellation, event.satellite, event.cause)
+        if key not in last or event.t_ns - last[key] > QUIET_S * NS:
+            kept.append(event)
+        last[key] = event.t_ns
+    return kept
 
 
 def isolate(made: Sequence[Local], floor_m: float) -> tuple[NDArray[np.bool_], list[Event]]:

@@ -16,7 +16,7 @@ from starwise.constants import (
     ROW_USED,
 )
 from starwise.errors import StarwiseError
-from starwise.estimators.federated_faults import CHUNK, Event, clock_events, isolate, satellite_events
+from starwise.estimators.federated_faults import CHUNK, Event, clock_events, in_order, isolate, satellite_events
 from starwise.estimators.federated_local import Local, information_shares, make_locals, run_locals
 from starwise.estimators.federated_master import beliefs, fuse
 from starwise.estimators.least_squares import empty_epochs
@@ -53,11 +53,10 @@ def run_federated(prepared: Prepared, config: RunConfig) -> tuple[EpochOut, RowM
     use = np.ones((len(prepared.epochs.t_ns), len(made)), dtype=np.bool_)
     if config.fde:
         use, events = isolate(made, prepared.errors.floor)
-        events += clock_events(made)
+        events += clock_events(made, use)
         for local in made:
             events += satellite_events(local)
-    events.sort(key=lambda event: event.t_ns)
-    return _epochs(made, use, prepared), _rows(made, use, prepared), events
+    return _epochs(made, use, prepared), _rows(made, use, prepared), in_order(events)
 
 
 def shares_of(prepared: Prepared, config: RunConfig) -> F8:
