@@ -36,7 +36,7 @@ def inertial_text(solution: Solution, directory: str | Path, elapsed_s: float) -
         if told.any():
             ratio = float(solution.nis[told].sum() / solution.dof[told].sum())
             of = "of the satellites" if p["config"]["method"] == "tight" else "of the positions"
-            lines += field("NIS", f"{ratio:.2f} {of}, per degree of freedom (1 where errors are as claimed)")
+            lines += field("NIS", f"{ratio:.2f} {of}, per degree of freedom (1: as claimed)")
         sigma = np.sqrt(np.trace(solution.cov_pos, axis1=1, axis2=2))
         lines += field("claimed", f"{np.median(sigma):.2f} m (1 sigma, 3D, median), at most {sigma.max():.2f} m")
         lines += ["", *field("at the end", "estimate and 1 sigma")]
