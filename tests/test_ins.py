@@ -267,6 +267,42 @@ def test_doubtful_fixes_are_used_and_told_of() -> None:
     assert any("before or after the inertial readings" in note for note in notes)
 
 
+def test_epochs_are_those_of_the_fixes_to_the_nanosecond() -> None:
+    given, read = fixes(sigma=0.02), readings()
+    odd = replace(given, t_ns=given.t_ns + 123_456, available_ns=given.t_ns + 123_456)
+    run = loose(odd, replace(read, t_ns=read.t_ns + 123_777), config())
+    assert set(run.solution.t_ns.tolist()) <= set(odd.t_ns.tolist())
+    # an epoch that came before its fix would have the variance of the prediction, twice that of the fix or more
+    k = np.isin(odd.t_ns, run.solution.t_ns)
+    with_fix = np.trace(run.pos_cov, axis1=1, axis2=2) < np.trace(odd.cov_pos[k], axis1=1, axis2=2)
+    assert with_fix[20:].all()
+
+
+def test_fixes_without_sigmas_are_not_given_any() -> None:
+    given = fixes()
+    assert given.cov_vel is not None
+    none = np.full_like(given.cov_pos, np.nan)
+    with pytest.raises(StarwiseError, match="claim no sigmas"):
+        loose(replace(given, cov_pos=none), readings(), config())
+    notes = loose(replace(given, cov_vel=none), readings(), config()).solution.provenance["notes"]
+    assert any("velocities claim no sigmas: not used" in note for note in notes)
+    some = given.cov_pos.copy()
+    some[40:50] = np.nan
+    run = loose(replace(given, cov_pos=some), readings(), config())
+    assert any("10 fixes claim no sigmas: not used" in note for note in run.solution.provenance["notes"])
+    told = config(fix_sigma_m=0.3, velocity_sigma_mps=0.05)
+    run = loose(replace(given, cov_pos=none, cov_vel=0.0 * given.cov_vel), readings(), told)
+    assert run.solution.provenance["nis_per_dof"] == pytest.approx(1.0, abs=0.2)  # the sigmas they have
+
+
+def test_wrong_positions_are_not_hidden_by_good_velocities() -> None:
+    given = fixes()
+    rng = np.random.default_rng(3)
+    wild = replace(given, pos_e=given.pos_e + 0.7 * rng.normal(size=given.pos_e.shape))  # claimed: 0.3 m
+    notes = loose(wild, readings(), config()).solution.provenance["notes"]
+    assert any("contradict each other" in note for note in notes)
+
+
 def test_a_wild_fix_moves_little() -> None:
     given = fixes()
     pos = given.pos_e.copy()

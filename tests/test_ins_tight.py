@@ -128,3 +128,14 @@ def test_a_time_offset_is_for_fixes_only() -> None:
             simulation.observations, BroadcastEphemeris(simulation.records), simulation.ionosphere,
             simulation.imu.measured, OPTIONS, CONFIG.with_options({"time_offset_sigma_s": 0.1}),
         )  # fmt: skip
+
+
+def test_observations_of_another_day_are_told() -> None:
+    simulation = drive()
+    assert simulation.imu is not None
+    read = simulation.imu.measured
+    with pytest.raises(StarwiseError, match="no epoch of the observations within"):
+        tight(
+            simulation.observations, BroadcastEphemeris(simulation.records), simulation.ionosphere,
+            replace(read, t_ns=read.t_ns + 86_400_000_000_000), OPTIONS, CONFIG,
+        )  # fmt: skip
