@@ -40,7 +40,7 @@ class InertialRun:
         ``velocity_t_ns`` ... likewise per velocity.
     constraints : dict
         Number and mean NIS of constraint, rest, barometer, odometer; ``innovations`` (k, 4): time (s), right, down,
-        speed.
+        speed. After gaps too long to bridge: of the first stretch.
     start_ns : int
     """
 
