@@ -133,12 +133,13 @@ def ramps(case: Case, every: bool, doppler: bool) -> list[dict[str, Any]]:
             out = fault(case, [sv], rate_mps=RAMP_MPS, doppler=doppler)
             lost = blind(out["prepared"], case.config)
             peak = float(np.nanmax(np.linalg.norm(lost - case.truth, axis=1)[case.middle :]))
-            wrong = [e.record() for e in out["events"] if e.constellation != constellation]
+            wrong = [e.record() for e in out["events"] if e.satellite != sv_name(sv)]
             rows.append(
                 {
                     "set": case.name,
                     "satellite": sv_name(sv),
                     "delay_s": delay(out["events"], constellation, out["t0_ns"]),
+                    "itself": any(e.satellite == sv_name(sv) for e in out["events"]),
                     "peak_m": out["peak_m"],
                     "blind_m": peak,
                     "wrong": wrong,
