@@ -104,7 +104,9 @@ def _rows(solution: Solution) -> dict[str, Any]:
 def _signals(solution: Solution, which: np.typing.NDArray[np.intp]) -> dict[str, int]:
     """Satellites' epochs by signal, or by pair of signals (``1W+2W``), most frequent first."""
     # the row of a second signal beside the first has no terms of its own
-    which = which[np.isfinite(solution.ledger["geometric_m"][which])]
+    terms = solution.ledger.get("geometric_m")
+    if terms is not None:
+        which = which[np.isfinite(terms[which])]
     first, second = solution.ledger["sig"][which].astype(np.int64), solution.ledger["sig2"][which].astype(np.int64)
     pairs, counts = np.unique(first << 16 | second, return_counts=True)
     order = np.argsort(-counts, kind="stable")
