@@ -256,4 +256,4 @@ def _each(work: Callable[[Local], None], made: Iterable[Local], workers: int) ->
             work(local)
         return
     with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(work, made))
+        list(pool.map(work, sorted(made, key=lambda local: -len(local.at))))  # the longest first
