@@ -71,7 +71,10 @@ def measure(data: DataSet, runs: int, folder: Path) -> dict[str, object]:
     peer = Pyrtklib(obs_file, nav_file, data.systems)
     obs, records = read_obs(obs_file), read_nav(nav_file)
     ephemeris = BroadcastEphemeris(records)
-    configs = {m: RunConfig(method=m, systems=data.systems, post=True) for m in ("lsq", "s3ekf")}
+    configs = {
+        m: RunConfig(method=m, error_model="white", dynamics="vehicle", systems=data.systems, post=True)
+        for m in ("lsq", "s3ekf")
+    }
     times: dict[str, list[float]] = {"pyrtklib": [], "lsq": [], "s3ekf": []}
     for config in configs.values():
         solve_run(obs, ephemeris, records.ionosphere, config)  # compile or load

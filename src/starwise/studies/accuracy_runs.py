@@ -50,6 +50,7 @@ def natural_config(scenario: Scenario) -> RunConfig:
     """Configuration that fits a scenario: its systems, its vehicle, its mask, models for what it simulates."""
     letters = "".join(dict.fromkeys(name[0] for name in scenario.receiver.signals))
     return RunConfig(
+        error_model="white",
         systems=letters,
         dynamics="aircraft" if scenario.vehicle.kind == "aircraft" else "vehicle",
         mask_deg=max(scenario.receiver.mask_deg, -5.0),

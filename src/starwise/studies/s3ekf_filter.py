@@ -44,6 +44,7 @@ def paper_motion(jerk_psd: float = JERK_PSD) -> Motion:
 def paper_config(method: Method) -> RunConfig:
     """What the paper's filter and its least squares share with ``starwise solve``: systems, no corrections."""
     return RunConfig(
+        error_model="white",
         method=method,
         systems="GC",
         dynamics="aircraft",

@@ -91,7 +91,7 @@ def _compare(name: str, obs: Path, nav: Path, repeats: int) -> list[dict[str, An
     ephemeris = BroadcastEphemeris(records)
     table = []
     for systems in SYSTEMS:
-        config = RunConfig(systems=systems, dynamics="aircraft", mask_deg=5.0)
+        config = RunConfig(systems=systems, error_model="white", dynamics="aircraft", mask_deg=5.0)
         prepared = prepare(observations, ephemeris, records.ionosphere, config)
         table.append({"data": name, "systems": systems, **_both(prepared, config, repeats)})
     return table
