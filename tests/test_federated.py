@@ -157,6 +157,43 @@ def test_a_local_filter_that_drops_out_and_comes_back():
     assert np.allclose(out.share.sum(axis=1), 1.0)
 
 
+@pytest.mark.laws
+@pytest.mark.parametrize("period", [1, 10])
+def test_without_reset_absent_filters_keep_the_fusion_honest(period):
+    """Local filters that take turns: a share that passed to the others would count common noise twice.
+
+    The covariance claimed is held against the true one of the same linear estimator: gains do not depend on data, so
+    the fused state is linear in what goes in, and its response to every input, one at a time, is its covariance.
+    """
+    K, n = 2, 30
+    Phi, Q = np.eye(1), np.eye(1)
+    present = np.array([[(e // period) % K == k for k in range(K)] for e in range(n)])
+
+    def fused(noise, errors, start):
+        truth = start + np.cumsum(noise)
+        H = np.eye(1)
+        rows = [
+            [(H, truth[e] + errors[e, k : k + 1], np.ones(1)) if present[e, k] else (H[:0], np.zeros(0), np.zeros(0))
+             for k in range(K)]
+            for e in range(n)
+        ]  # fmt: skip
+        opts = options(K, nc=1, reset=False)
+        out = run(opts, [1] * K, [np.zeros(1)] * K, [np.eye(1) * 10.0 * K] * K, [Phi] * K, [Q] * K, rows, present)
+        return out.x[:, 0] - truth, out.P[:, 0, 0]
+
+    nothing = np.zeros((n, K))
+    error, claimed = fused(np.zeros(n), nothing, np.sqrt(10.0))
+    true = error**2
+    for e in range(n):
+        true += fused(np.eye(n)[e], nothing, 0.0)[0] ** 2
+        for k in np.flatnonzero(present[e]):
+            one = nothing.copy()
+            one[e, k] = 1.0
+            true += fused(np.zeros(n), one, 0.0)[0] ** 2
+    assert (true <= claimed * (1.0 + 1e-9)).all()
+    assert (true[5:] > 0.5 * claimed[5:]).all()  # a bound that is twice as large would say nothing
+
+
 def test_noise_that_is_not_shared_is_too_optimistic():
     """The paper shares P alone: the fused covariance is then smaller than the centralised filter's."""
     rows = fixes(4)

@@ -51,7 +51,7 @@ class FederatedOut(NamedTuple):
 
 @njit
 def _shares(options: Options, P: F8, active: Bool, share: F8) -> None:
-    """Shares of the active local filters, sum 1."""
+    """Shares of the local filters that are ``active``, sum 1."""
     if options.auto_share:
         auto_shares(P, active, options.least_share, share)
         return
@@ -98,6 +98,7 @@ def federated_run(options: Options, locals_: Locals, rows: Measured, out: Federa
     w, x_g, P_g = np.zeros(width), np.zeros(nc), np.zeros((nc, nc))
     share = np.zeros(K)
     active, use = np.zeros(K, dtype=np.bool_), np.zeros(K, dtype=np.bool_)
+    sharing = np.zeros(K, dtype=np.bool_)
     out_of, suspect = np.zeros(K, dtype=np.bool_), np.zeros(K, dtype=np.bool_)
     jumped = np.zeros(K, dtype=np.bool_)
     x_a, P_a, x_b, P_b = np.zeros(width), np.zeros((width, width)), np.zeros(width), np.zeros((width, width))
@@ -108,14 +109,16 @@ def federated_run(options: Options, locals_: Locals, rows: Measured, out: Federa
     for e in range(rows.offsets.shape[0]):
         for k in range(K):
             active[k] = rows.present[e, k] and not out_of[k]
-        _shares(options, P, active, share)
+            # without reset every belief is fused, now or when it is back: the shares of all must stay one in sum
+            sharing[k] = active[k] or not options.reset
+        _shares(options, P, sharing, share)
         for k in range(K):
             out.share[e, k] = share[k]
             out.nis[e, k] = out.separation[e, k] = math.nan
             suspect[k] = jumped[k] = False
             if options.reset and known and active[k]:
                 share_out(x[k], P[k], locals_.n[k], nc, x_g, P_g, share[k], A, B)
-            # one that is not asked, or on probation, is predicted by itself, with the noise of an equal share
+            # with reset, one that is not asked, or on probation, is predicted alone, with the noise of an equal share
             beta = share[k] if share[k] > 0.0 else 1.0 / K
             predict_local(x[k], P[k], locals_.n[k], nc, locals_.Phi[k], locals_.Q[k], beta, A)
             if not rows.present[e, k]:
