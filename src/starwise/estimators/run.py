@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starwise.config import RunConfig
-from starwise.constants import C_LIGHT, ROW_COMBINED, ROW_GATED, ROW_USED
+from starwise.constants import C_LIGHT, ROW_COMBINED, ROW_GATED, ROW_NOT_SELECTED, ROW_USED
 from starwise.estimators.dynamics import settle_dynamics
 from starwise.estimators.least_squares import least_squares
 from starwise.kernels.rangemodel import RowModel
@@ -83,10 +83,11 @@ def _estimate(prepared: Prepared, config: RunConfig) -> tuple[EpochOut, RowModel
     if config.method == "lsq" and config.error_model == "white":
         return *least_squares(prepared, config), {}
     if config.method == "federated":
-        from starwise.estimators.federated_run import run_federated
+        from starwise.estimators.federated_run import run_federated, shares_of
 
         ep, out, events = run_federated(prepared, config)
-        return ep, out, {"events": [event.record() for event in events]}
+        shares = dict(zip(prepared.clock_names, shares_of(prepared, config).tolist(), strict=True))
+        return ep, out, {"shares": shares, "events": [event.record() for event in events]}
     from starwise.estimators.filter import run_filter
 
     return *run_filter(prepared, config), {}
@@ -129,6 +130,11 @@ def make_ledger(obs: Observations, prepared: Prepared, out: RowModel) -> dict[st
     taken = ROW_USED if beside else ROW_COMBINED
     refused = np.where(out.status[second] == ROW_USED, ROW_GATED, out.status[second])
     status[s.row2[second]] = np.where(used, taken, refused)
+    pairs = s.sig2.copy()
+    if beside:  # codes whose group delay nobody knows were not taken
+        without = second[~np.isfinite(prepared.error_rows.code2_m[second])]
+        status[s.row2[without]] = ROW_NOT_SELECTED
+        pairs[without] = 0
     if len(prepared.error_rows.used):
         first_refused = (out.status == ROW_USED) & (prepared.error_rows.used == 2)
         status[at[first_refused]] = ROW_GATED
@@ -143,7 +149,7 @@ def make_ledger(obs: Observations, prepared: Prepared, out: RowModel) -> dict[st
     satellite_clock = C_LIGHT * prepared.states.clock_s
     known = out.geometric + out.sagnac + out.troposphere + out.ionosphere - prepared.rows.clock_m
     sig2 = np.zeros(n, dtype=np.int16)
-    sig2[at] = s.sig2
+    sig2[at] = pairs
     rate_used = np.zeros(n, dtype=bool)
     rate_used[at] = out.rate_used != 0
     return {
