@@ -12,7 +12,7 @@ from starwise.estimators.fuse import FuseConfig, Receiver, fuse_fixes
 from starwise.frames import C_ne_enu, ecef_from_geodetic, geodetic_from_ecef
 from starwise.io.pos import write_pos
 from starwise.io.results import read_solution
-from starwise.studies.fusing import fuse_files, read_receiver
+from starwise.studies.fusing import _summary, fuse_files, fuse_text, read_receiver
 from starwise.types import Solution
 
 T0 = 1_100_000_000 * NS
@@ -105,6 +105,15 @@ def test_of_two_that_disagree_the_one_that_jumped_goes():
     assert (solution.status[100:120] != EPOCH_OK).all()
 
 
+def test_epochs_that_never_meet_tell_nothing_of_the_noise():
+    solution = fuse_fixes([receiver("a", T, 3.0, 1), receiver("b", T + 0.5, 3.0, 2)])
+    assert solution.n_epochs == 400
+    assert solution.provenance["noise_scale"] is None
+    assert "no epoch has two fixes" in fuse_text(
+        {**solution.provenance, "config": FuseConfig().to_dict(), "summary": _summary(solution)}, None
+    )
+
+
 def test_sigmas_that_nobody_claims():
     """The scale comes from the differences."""
     solution = fuse_fixes([receiver(str(k), T, 9.0, k, claims=False) for k in range(3)], WHITE)
@@ -129,6 +138,10 @@ def test_what_cannot_be_fused():
     far = Receiver("b", a.t_ns, a.pos_e + 3e5, a.cov_e)
     with pytest.raises(StarwiseError, match="not of one place"):
         fuse_fixes([a, far])
+    late = Receiver("late", a.t_ns + 3600 * NS, a.pos_e, a.cov_e)
+    with pytest.raises(StarwiseError, match="no time in common") as caught:
+        fuse_fixes([a, receiver("b", T, 3.0, 2), late])
+    assert caught.value.file == "late"
     with pytest.raises(StarwiseError, match="outside its limits"):
         FuseConfig(lasting=2.0)
     with pytest.raises(StarwiseError, match="no such choice"):

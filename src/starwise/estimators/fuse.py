@@ -14,6 +14,7 @@ from starwise.errors import StarwiseError
 from starwise.estimators.adaptive_fixes import improved_filter, least_squares
 from starwise.estimators.fuse_plane import unroll
 from starwise.frames import geodetic_from_ecef, rotations_ne_enu
+from starwise.gnsstime import iso
 from starwise.models.maneuver import BANKS
 from starwise.types import F8, I8, Solution
 
@@ -103,7 +104,8 @@ def fuse_fixes(receivers: Sequence[Receiver], config: FuseConfig | None = None) 
     Raises
     ------
     StarwiseError
-        No fix at all; receivers without a fix; fixes of one epoch in different places.
+        No fix at all; receivers without a fix, or at another time than all others; fixes of one epoch in different
+        places.
     """
     options = config or FuseConfig()
     if not receivers:
@@ -173,9 +175,10 @@ def _adaptive(
     if options.false_alarm > 0.0:
         bank = replace(bank, gate=float(chi_square_points(options.false_alarm, 4)[3]))
     track = improved_filter(t_s, z, r, bank)
+    told = options.scale and bool(((~np.isnan(z[:, :, 0])).sum(axis=1) > 1).any())
     notes = {
-        "noise_scale": float(track.scale[-1]),
-        "noise_correlation": float(track.correlation[-1]),
+        "noise_scale": float(track.scale[-1]) if told else None,
+        "noise_correlation": float(track.correlation[-1]) if told else None,
         "cruise_share": float(np.nanmean(track.cruise)),
     }
     return track.pos, track.cov_pos, track.vel, track.cov_vel, track.used, track.nis, notes
@@ -184,6 +187,7 @@ def _adaptive(
 def _merge(receivers: Sequence[Receiver], options: FuseConfig) -> _Epochs:
     """Fixes of all receivers by epoch; what a file does not claim of its noise is filled in."""
     cleaned = [_cleaned(receiver, options) for receiver in receivers]
+    _check_times(receivers, [t for t, _, _ in cleaned])
     times = np.sort(np.concatenate([t for t, _, _ in cleaned]))
     tolerance = round(options.tolerance_s * 1e9)
     starts = [0]
@@ -197,6 +201,19 @@ def _merge(receivers: Sequence[Receiver], options: FuseConfig) -> _Epochs:
         at = np.searchsorted(t_ns, t, side="right") - 1
         pos[at, k], cov[at, k] = p, c
     return _Epochs(t_ns, pos, cov)
+
+
+def _check_times(receivers: Sequence[Receiver], times: Sequence[I8]) -> None:
+    """Refuse a receiver whose fixes all lie before or after those of every other one."""
+    for k, t in enumerate(times):
+        others = [o for j, o in enumerate(times) if j != k]
+        if others and all(t[-1] < o[0] or o[-1] < t[0] for o in others):
+            raise StarwiseError(
+                "no time in common with the other receivers",
+                file=receivers[k].name,
+                found=f"{iso(int(t[0]))} to {iso(int(t[-1]))} GPST",
+                wanted=f"fixes within {iso(int(min(o[0] for o in others)))} to {iso(int(max(o[-1] for o in others)))}",
+            )
 
 
 def _cleaned(receiver: Receiver, options: FuseConfig) -> tuple[I8, F8, F8]:

@@ -138,11 +138,14 @@ def fuse_text(record: dict[str, Any], output: Path | None) -> str:
     lines = [f"{s['epochs']} epochs in {s['duration_s']:.0f} s, sigma (3D, median) {s['sigma_3d_median_m']:.2f} m"]
     rows = zip(record["receivers"], record["fixes"], record["refused"], strict=True)
     lines += [f"  {name}: {fixes} fixes, {refused} refused" for name, fixes, refused in rows]
-    if "noise_scale" in record:
+    if record.get("noise_scale") is not None:
         lines.append(
             f"  noise against what the files claim: x {record['noise_scale']:.2f}; "
             f"correlation from epoch to epoch {record['noise_correlation']:.2f}"
         )
+    elif "noise_scale" in record:
+        why = ": no epoch has two fixes to compare (--tolerance)" if record["config"]["scale"] else ""
+        lines.append(f"  noise taken as the files claim{why}")
     if output is not None:
         lines.append(f"  in {output}")
     return "\n".join(lines)
