@@ -111,7 +111,8 @@ def _options(K: int, isolate: bool, watch: bool) -> Options:
         share=np.full(K, 1.0 / K),
         test_states=3 if isolate else 0,
         separation_gate=float(chi_square_points(FALSE_ALARM, 4)[3]),
-        innovation_gate=chi_square_points(FALSE_ALARM, 40),
+        # without detection nothing is taken for a clock that jumped, either
+        innovation_gate=chi_square_points(FALSE_ALARM, 40) if isolate else np.full(40, np.inf),
         patience=PATIENCE,
         probation=60,
         clock=6 if watch else -1,
