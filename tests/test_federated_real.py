@@ -43,6 +43,14 @@ def test_shares_are_read_and_refused() -> None:
     for text in ("", "G", "G=x", "G=0", "G=-1", "GR=1", "G=1,G=2", "X=1", "G=inf"):
         with pytest.raises(StarwiseError, match="share"):
             RunConfig(method="federated", share=text)
+    with pytest.raises(StarwiseError, match="names no satellite system"):
+        parse_shares("X=1")
+    with pytest.raises(StarwiseError, match="twice"):
+        parse_shares("G=1,G=2")
+    with pytest.raises(StarwiseError, match="above zero"):
+        parse_shares("G=-1")
+    with pytest.raises(StarwiseError, match="of the federated filter"):
+        RunConfig(method="ekf", share="G=1")
 
 
 def made_up(rng: np.random.Generator, m: int = 3, K: int = 3, n: int = 5) -> Beliefs:
@@ -218,6 +226,9 @@ def test_events_are_in_the_files(shared_data: Path, hour: Case, tmp_path: Path) 
     obs = federated_real.faulty(hour, [sv_id("G31")], rate_mps=federated_real.RAMP_MPS)
     solution = solve_run(obs, hour.ephemeris, hour.ionosphere, hour.config)
     (event,) = solution.provenance["events"]
+    shares = solution.provenance["shares"]
+    assert sorted(shares) == ["C", "E", "G", "R"]
+    assert sum(shares.values()) == pytest.approx(1.0)
     assert (event["satellite"], event["constellation"], event["cause"]) == ("G31", "G", "satellite")
     assert summarise(solution)["events"] == {"satellite": 1}
     mine = (solution.ledger["sv"] == sv_id("G31")) & (solution.ledger["t_ns"] > obs.t_ns[hour.middle + 1])

@@ -79,14 +79,15 @@ def solve(
         ),
     ] = None,
     share: Annotated[
-        str | None, typer.Option(metavar="auto|G=..,R=..", help="Shares of the federated filter; default auto.")
+        str | None,
+        typer.Option(metavar="auto|G=..,R=..", help="Shares of the federated filter, scaled to sum 1; default auto."),
     ] = None,
     imu: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Inertial readings: adds attitude and sensor biases.")
     ] = None,
     imu_config: Annotated[
         str | None,
-        typer.Option("--imu-config", metavar="FILE.toml|LAYOUT", help="What the file of --imu holds; [inertial]."),
+        typer.Option("--imu-config", metavar="FILE.toml|LAYOUT", help="What the file of --imu holds; \\[inertial]."),
     ] = None,
     fixes: Annotated[
         Path | None, typer.Option(metavar="FILE.pos", help="With --imu, in place of RINEX: fixes from elsewhere.")

@@ -122,7 +122,11 @@ class RunConfig(Checked):
                 found=self.systems,
                 wanted=f"letters of {SYSTEMS}, like GRECJ",
             )
-        parse_shares(self.share)
+        if parse_shares(self.share) is not None and self.method != "federated":
+            raise StarwiseError(
+                "shares are of the federated filter", found=f"share {self.share}, method {self.method}",
+                wanted="method federated",
+            )  # fmt: skip
         for name in self.exclude:
             sv_id(name)
         for system, names in (self.signals or {}).items():
@@ -165,9 +169,18 @@ def parse_shares(text: str) -> dict[str, float] | None:
         try:
             value = float(number)
         except ValueError:
-            value = 0.0
-        if len(name) != 1 or name not in SYSTEMS or name in shares or not 0.0 < value < float("inf"):
-            raise StarwiseError("'share' is not readable", found=item, wanted="auto, or like G=0.4,R=0.1,E=0.3,C=0.2")
+            value = float("nan")
+        wrong = ""
+        if value != value:
+            wrong = "'share' is not readable"
+        elif len(name) != 1 or name not in SYSTEMS:
+            wrong = "'share' names no satellite system"
+        elif name in shares:
+            wrong = "'share' names a system twice"
+        elif not 0.0 < value < float("inf"):
+            wrong = "'share' is not above zero"
+        if wrong:
+            raise StarwiseError(wrong, found=item, wanted="auto, or like G=0.4,R=0.1,E=0.3,C=0.2")
         shares[name] = value
     return shares
 
