@@ -136,6 +136,7 @@ def information_shares(prepared: Prepared) -> F8:
     """Shares by what the constellations' codes are worth: usable rows over their variance; (n_clocks,), sum 1.
 
     No share is below a tenth of an equal one: what is common would then be noise to that filter.
+    Rows of the whole run count, also later ones: shares must not change while beliefs without reset are fused.
     """
     use = prepared.rows.status == ROW_USED
     rows, p = prepared.rows, prepared.errors

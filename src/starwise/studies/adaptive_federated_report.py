@@ -257,7 +257,7 @@ def draw(errors: Errors, base: Path) -> list[str]:
         ax.set(xlabel=xlabel, ylabel=ylabel)
         ax.grid(alpha=0.3)
         if ax.get_legend_handles_labels()[0]:
-            ax.legend(frameon=False, fontsize="small", ncols=2)
+            ax.legend(frameon=False, fontsize="small", ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
         fig.savefig(base / name, metadata={"Date": None})
         plt.close(fig)
         drawn.append(name)
@@ -265,8 +265,10 @@ def draw(errors: Errors, base: Path) -> list[str]:
     def against_time(axis: str, begin: int, end: int) -> Callable[[Any], None]:
         def fill(ax: Any) -> None:
             for name, colour in _COLOURS.items():
-                ax.plot(errors["t_s"][begin:end], errors[f"{name}_{axis}_m"][begin:end], color=colour, lw=0.9,
-                        label=_NAMES[name])  # fmt: skip
+                # the literal filter stays near least squares and would cover it
+                y = errors[f"{name}_{axis}_m"][begin:end]
+                width, alpha = (1.2 if name == "improved" else 0.7), (0.6 if name == "literal" else 1.0)
+                ax.plot(errors["t_s"][begin:end], y, color=colour, label=_NAMES[name], lw=width, alpha=alpha)
 
         return fill
 
