@@ -143,7 +143,9 @@ def _checked(value: Any, hint: Any, key: str) -> Any:
         return value
     if origin is tuple:
         if isinstance(value, str) or not isinstance(value, list | tuple):
-            raise StarwiseError(f"'{key}' is a list", found=str(value), wanted="a list")
+            raise StarwiseError(
+                f"'{key}' is a list", found=str(value), wanted=f"[{value!r}]?" if isinstance(value, str) else "a list"
+            )
         tables = _checked_class(args[0]) is not None
         return tuple(_checked(v, args[0], f"{key}[{i}]" if tables else key) for i, v in enumerate(value, 1))
     if origin is dict:

@@ -17,7 +17,7 @@ def calibrate(
     sets: Annotated[
         Path,
         typer.Argument(
-            metavar="SETS.toml", help="[[set]] tables: name, station, observations, navigation, truth, dynamics."
+            metavar="SETS.toml", help="[\\[set]] tables: name, observations, navigation, truth; see docs/formats.md."
         ),
     ],
     output: Annotated[
@@ -34,7 +34,7 @@ def calibrate(
 ) -> None:
     """Sizes and times of range errors by maximum likelihood, with cross-validation over stations.
 
-    The score is the density that the filter gave to the true position; see docs/error-model.md.
+    The score is the mean logarithm of the density that the filter gave to the true position (docs/error-model.md).
     """
     from starwise.studies.calibration import calibrate as run
 
@@ -60,7 +60,7 @@ def _table(rows: list[dict[str, Any]], total: dict[str, Any]) -> list[str]:
     lines.append(
         f"{'pooled':<24}{'':<12}{total['sessions']:>3} {100 * total['coverage_50']:5.0f} "
         f"{100 * total['coverage_68']:5.0f} {100 * total['coverage_95']:5.0f} {total['nees_mean']:5.2f} "
-        f"{total['sigma_3d_mean_m']:6.2f}"
+        f"{total['sigma_3d_mean_m']:6.2f} {total['rms_3d_m']:6.2f}"
     )
     return lines
 
@@ -69,9 +69,9 @@ def _text(result: dict[str, Any], output: Path | None) -> str:
     lines = []
     for name, (old, new) in result["changed"].items():
         lines.append(f"  {name:<24}{old:>10g} -> {new:g}")
+    before, after = result["score_before"], result["score_after"]
     lines = [
-        f"score {result['score_before']:.3f} -> {result['score_after']:.3f}"
-        + (", parameters that changed:" if lines else ", no parameter changed"),
+        f"score {before:.3f} -> {after:.3f}, parameters that changed:" if lines else f"score {after:.3f}, as before",
         *lines,
         "",
         "Share of epochs inside the claimed ellipsoids; NEES per degree of freedom; m:",

@@ -64,6 +64,12 @@ class SetFile(Checked):
     combination: tuple[Literal["uncombined", "single"], ...] = ("uncombined", "single")
     """Two frequencies and one: the priors of the ionosphere weigh most where there is one."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for key in ("observations", "navigation", "truth", "dynamics", "combination"):
+            if not getattr(self, key):
+                raise StarwiseError(f"'{key}' of set '{self.name}' is empty")
+
 
 @dataclass(frozen=True)
 class CalibrationFile(Checked):
@@ -114,10 +120,12 @@ def _case(item: SetFile, folder: Path, listed: CalibrationFile, combination: Lit
     config = RunConfig(systems=item.systems, combination=combination)
     prepared = prepare(obs, BroadcastEphemeris(records), records.ionosphere, config)
     where = folder / item.truth
-    truth = _truth_at(read_truth(str(where) if where.exists() else item.truth), obs.t_ns)
+    truth = _truth_at(read_truth(str(where) if where.is_file() else item.truth), obs.t_ns)
     windows = _windows(obs.t_ns, truth, listed.session_s)
     if not windows:
-        raise StarwiseError("no session with a truth", file=folder / item.observations)
+        raise StarwiseError(
+            "no session with a truth", file=folder / item.observations, wanted="20 epochs of one, or more"
+        )
     if len(windows) > 2:
         windows = windows[:: listed.every]
     name = item.name if combination == "uncombined" else f"{item.name}, L1"
@@ -264,7 +272,8 @@ def pooled(table: Sequence[dict[str, Any]]) -> dict[str, float]:
     weight = np.array([row["sessions"] for row in table], dtype=np.float64)
     keys = ("coverage_50", "coverage_68", "coverage_95", "nees_mean", "sigma_3d_mean_m")
     out = {key: float(np.average([row[key] for row in table], weights=weight)) for key in keys}
-    return {**out, "sessions": int(weight.sum())}
+    rms = math.sqrt(np.average([row["rms_3d_m"] ** 2 for row in table], weights=weight))
+    return {**out, "rms_3d_m": rms, "sessions": int(weight.sum())}
 
 
 def cross_validate(
@@ -312,11 +321,14 @@ def calibrate(
     """
     say = progress or (lambda _what, _part: None)
     cases = read_cases(path)
+    if output is not None and not output.absolute().parent.is_dir():  # now, not after hours
+        raise StarwiseError("no such folder", file=output, wanted="a file that can be written")
     start = ErrorParameters()
     found = start
     if rounds > 0:
         found, _ = maximise(cases, start, rounds=rounds, progress=lambda what, part: say(what, 0.3 * part))
         found = replace(found, **{name: float(f"{getattr(found, name):.2g}") for name in NAMES})
+    before = score(cases, start)
     sets = judge(cases, found)
     result: dict[str, Any] = {
         "parameters": found.to_dict(),
@@ -325,8 +337,8 @@ def calibrate(
             for name in NAMES
             if getattr(start, name) != getattr(found, name)
         },
-        "score_before": score(cases, start),
-        "score_after": score(cases, found),
+        "score_before": before,
+        "score_after": before if found == start else score(cases, found),
         "sets": sets,
         "pooled": pooled(sets),
     }
@@ -339,6 +351,9 @@ def calibrate(
     if output is not None:
         lines = [f"{key} = {value!r}" for key, value in found.to_dict().items()]
         temporary = output.with_name(f".{output.name}.{os.getpid()}.part")
-        temporary.write_text("\n".join(["# Coloured error model, for solve --config", "[errors]", *lines, ""]))
-        os.replace(temporary, output)
+        try:
+            temporary.write_text("\n".join(["# Coloured error model, for solve --config", "[errors]", *lines, ""]))
+            os.replace(temporary, output)
+        except OSError as error:
+            raise StarwiseError(f"cannot be written ({error.strerror})", file=output) from None
     return result
