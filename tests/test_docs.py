@@ -7,16 +7,18 @@ from pathlib import Path
 from handmade import HERE, handmade_solution
 from starwise.analysis.accuracy import assess
 from starwise.config import ClockNoise, ProcessNoise, RunConfig
+from starwise.config_errors import ErrorParameters
 from starwise.config_inertial import AccelNoise, GyroNoise, InertialConfig, VehicleConfig
 from starwise.constants import EPOCH_STATUS_NAMES, ROW_STATUS_NAMES
 from starwise.estimators.ins_output import _UNITS
 from starwise.io.imu_config import ImuAccel, ImuFile, ImuGyro, ImuTime
 from starwise.io.results import solution_table
 from starwise.report.summary import summarise
+from starwise.studies.calibration import SetFile
 from starwise.types import Truth
 
 ROOT = Path(__file__).resolve().parents[1]
-NAMED = set(re.findall(r"`([^`]+)`", (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")))
+NAMED = set(re.findall(r"`([^`\n]+)`", (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")))
 
 
 def test_columns_of_the_solution() -> None:
@@ -44,6 +46,16 @@ def test_keys_of_reports() -> None:
 def test_keys_of_the_configuration() -> None:
     for kind in (RunConfig, ProcessNoise, ClockNoise, InertialConfig, GyroNoise, AccelNoise, VehicleConfig):
         assert {item.name for item in dataclasses.fields(kind)} <= NAMED
+
+
+def test_keys_of_the_error_model_and_their_defaults() -> None:
+    keys = {item.name for item in dataclasses.fields(ErrorParameters)}
+    assert keys | {item.name for item in dataclasses.fields(SetFile)} <= NAMED
+    text = (ROOT / "docs" / "error-model.md").read_text(encoding="utf-8")
+    told = [(key, float(number)) for key, number in re.findall(r"`(\w+)` (\d[\d.]*\d|\d)", text) if key in keys]
+    assert len(told) > 20
+    default = ErrorParameters()
+    assert [(key, getattr(default, key)) for key, _ in told] == told
 
 
 def test_columns_of_inertial_results() -> None:
