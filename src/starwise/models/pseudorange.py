@@ -211,7 +211,7 @@ def _colored(
         delay2[second] = ephemeris.group_delay(states.record[second], s.sv[second], s.sig2[second], none)
     extra, bias_names = error_rows(
         obs,
-        s,
+        s if dual else replace(s, row2=np.full_like(s.row2, -1)),  # a combination is one code
         slow_sigma(config.errors, s.sv, rows.sigma_sat_m, EPHEMERIS_SIGMA_M[s.sv >> 8]),
         rows.clock_m,
         delay,
