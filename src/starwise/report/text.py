@@ -33,7 +33,8 @@ def solve_text(provenance: Mapping[str, Any], directory: str | Path, elapsed_s: 
     """Screen after ``starwise solve``: what was read, used, refused and found, and where it is."""
     config, summary = provenance["config"], provenance["summary"]
     lines = [*_read_lines(provenance), ""]
-    errors = "errors as states" if config.get("error_model") == "colored" else "errors white"
+    lasting = "errors correlated" if config["method"] == "lsq" else "errors as states"
+    errors = lasting if config.get("error_model") == "colored" else "errors white"
     lines += _field("method", f"{config['method']}, {errors}, mask {config['mask_deg']:g} deg")
     if config["method"] != "lsq":
         lines += _field("dynamics", _dynamics(provenance["dynamics"]))
@@ -177,7 +178,10 @@ def assess_text(name: str, report: Mapping[str, Any]) -> str:
         cells = "".join(_percent(column[f"coverage_{share}"]) for column in columns)
         lines.append(f"in {share} % ell. " + cells + f"  ({share} %)")
     if "calibration" in report:
-        lines += ["", *_calibration_lines(report["calibration"])]
+        lines += [
+            "",
+            *_calibration_lines(report["calibration"], "truth" if report["reference"] == "truth" else "median"),
+        ]
     for note in report.get("notes", ()):
         lines += _field("note", note)
     return "\n".join(lines)
@@ -214,9 +218,9 @@ def _number(value: float | None, width: int, digits: int, factor: float = 1.0) -
     return f"{'-':>{width}}" if value is None else f"{factor * value:{width}.{digits}f}"
 
 
-def _calibration_lines(curves: Mapping[str, Any]) -> list[str]:
+def _calibration_lines(curves: Mapping[str, Any], what: str = "truth") -> list[str]:
     """The calibration curve: shares of epochs, %, inside regions that claim to hold so many."""
-    lines = [f"{'truth inside, %, of regions of':34}" + "".join(f"{100.0 * p:10.0f} %" for p in curves["nominal"])]
+    lines = [f"{f'{what} inside, %, of regions of':34}" + "".join(f"{100.0 * p:10.0f} %" for p in curves["nominal"])]
     for key, label in (("3d", "ellipsoid"), ("horizontal", "ellipse, horizontal"), ("vertical", "interval, vertical")):
         shares = curves[key] or [None] * len(curves["nominal"])
         lines.append(f"  {label:32}" + "".join(_number(share, 10, 1, 100.0) + "  " for share in shares).rstrip())
