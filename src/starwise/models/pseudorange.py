@@ -150,15 +150,8 @@ def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel
         cn0 = np.full(len(cn0), np.nan)
         notes.append("signal strengths are not in dB-Hz: weights from elevation alone")
     if unknown_delay[use].any():
-        which = sorted(
-            {
-                f"{SYSTEMS[v >> 8]} {signal_name(int(g))}"
-                for v, g in set(
-                    zip(s.sv[use][unknown_delay[use]].tolist(), s.sig[use][unknown_delay[use]].tolist(), strict=True)
-                )
-            }
-        )
-        notes.append(f"group delays not known of {', '.join(which)}: taken as 0, sigmas widened by 3 m")
+        which = _named_signals(s.sv[use][unknown_delay[use]], s.sig[use][unknown_delay[use]])
+        notes.append(f"group delays not known of {which}: taken as 0, sigmas widened by 3 m")
     rows = Rows(
         sat_pos=states.pos_e,
         sat_vel=states.vel_e,
@@ -178,10 +171,21 @@ def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel
     bias_names: tuple[str, ...] = ()
     if config.error_model == "colored":
         errors, extra, bias_names = _colored(obs, s, states, ephemeris, rows, delay, config)
+        left = (s.status == ROW_USED) & (s.row2 >= 0) & ~np.isfinite(extra.code2_m)
+        if second_signals(config) and left.any():
+            notes.append(
+                f"second signals without a known group delay left out: {_named_signals(s.sv[left], s.sig2[left])}"
+            )
     return Prepared(
         s, states, delay, row_status, rows, Epochs(s.t_ns, s.offsets), options, clock_names, errors, extra,
         bias_names, tuple(notes),
     )  # fmt: skip
+
+
+def _named_signals(sv: I2, sig: I2) -> str:
+    """Systems and signals of rows, each once, like ``G 1C, R 2C``."""
+    pairs = set(zip((sv >> 8).tolist(), sig.tolist(), strict=True))
+    return ", ".join(sorted(f"{SYSTEMS[system]} {signal_name(int(g))}" for system, g in pairs))
 
 
 def with_parameters(prepared: Prepared, p: ErrorParameters) -> Prepared:
