@@ -29,9 +29,12 @@ demo: $(STAMP)
 test: $(STAMP)
 	$(BIN)/python -m pytest -n $(WORKERS)
 
-# Laws again with the kernels as plain Python: what numba compiles is what is written.
+# Laws again with the kernels as plain Python: what numba compiles is what is written. Laws that run whole filters of
+# many states would take minutes each.
+WHOLE := tests/test_colored.py tests/test_colored_honesty.py tests/test_ins.py tests/test_ins_tight.py
 test-nojit: $(STAMP)
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -n $(WORKERS) -m "laws and not slow and not real" -k "not 10000_epochs and not chi_square"
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -n $(WORKERS) -m "laws and not slow and not real" -k "not 10000_epochs and not chi_square" \
+	  $(WHOLE:%=--ignore=%)
 
 lint: $(STAMP)
 	$(BIN)/ruff check --output-format concise

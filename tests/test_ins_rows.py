@@ -139,7 +139,7 @@ def test_update_is_the_textbook_one() -> None:
 @pytest.mark.laws
 def test_smoothing_is_that_of_rauch_tung_and_striebel() -> None:
     # a small linear world in the form of the filter's records: full rows for nine states, a diagonal, a clock
-    n, clk, steps = 14, 12, 12
+    n, clk, steps = 17, 15, 12
     at = At(**{name: -1 for name in At._fields if name != "clk"}, clk=clk)
     rng = np.random.default_rng(8)
     P = np.diag(rng.uniform(0.5, 2.0, n)) * 1e-4
