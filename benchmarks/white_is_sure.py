@@ -35,7 +35,9 @@ def main() -> None:
     truth = truth_ecef(data.truth)
     lat, lon, _ = geodetic_from_ecef(truth)
     C = C_ne_enu(lat, lon)
-    plt.rcParams.update({"font.size": 10, "svg.fonttype": "none", "font.family": "sans-serif"})
+    plt.rcParams.update(
+        {"font.size": 10, "svg.fonttype": "none", "svg.hashsalt": "starwise", "font.family": "sans-serif"}
+    )
     figure, axes = plt.subplots(1, 2, figsize=(8.4, 3.2), sharey=True, layout="constrained")
     for axis, model in zip(axes, ("white", "colored"), strict=True):
         solution = starwise.solve(

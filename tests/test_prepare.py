@@ -110,6 +110,12 @@ def test_notes_reach_the_solution() -> None:
     assert any("white" in note for note in solution.provenance["notes"])
     lsq = starwise.solve(DATA / "demo_MO.rnx.gz", DATA / "demo_MN.rnx.gz", interval_s=60.0, method="lsq")
     assert not any("white" in note for note in lsq.provenance["notes"])
+    assert not any("[errors]" in note for note in solution.provenance["notes"])
+    told = starwise.solve(
+        DATA / "demo_MO.rnx.gz", DATA / "demo_MN.rnx.gz", interval_s=60.0, error_model="white",
+        **{"errors.slow_gps_m": 3.0},
+    )  # fmt: skip
+    assert any("[errors]" in note for note in told.provenance["notes"])
 
 
 def test_singular_covariance_does_not_improve_the_score() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starwise.config import RunConfig
+from starwise.config_errors import ErrorParameters
 from starwise.constants import C_LIGHT, ROW_COMBINED, ROW_GATED, ROW_NOT_SELECTED, ROW_USED
 from starwise.estimators.dynamics import settle_dynamics
 from starwise.estimators.least_squares import least_squares
@@ -103,7 +104,10 @@ def _filter_notes(ep: EpochOut, config: RunConfig) -> tuple[str, ...]:
         "sigmas hold if errors are white; real ones last for minutes, and then the filter's sigmas come out smaller "
         "than its errors, the more so the higher the rate"
     )
-    return (*filter_notes(ep), *((white,) if config.error_model == "white" else ()))
+    if config.error_model != "white":
+        return tuple(filter_notes(ep))
+    unused = "[errors] of the configuration is of the coloured error model: without effect here"
+    return (*filter_notes(ep), white, *((unused,) if config.errors != ErrorParameters() else ()))
 
 
 def make_ledger(obs: Observations, prepared: Prepared, out: RowModel) -> dict[str, NDArray[Any]]:
