@@ -28,15 +28,16 @@ def main() -> None:
         rows.append({"method": method, **report})
     if shutil.which("rnx2rtkp"):
         with scratch() as folder:
-            rows.append({"method": "rtklib", "epochs_solved": len(rtklib_spp(URBAN, Path(folder))[0])})
+            rtklib_spp(URBAN, Path(folder))
+            rows.append({"method": "rtklib", **starwise.assess(Path(folder) / "urbannav_tst.pos", TRUTH)})
     if args.json:
         print(json.dumps(rows, indent=1, default=str))
         return
-    keys = ("epochs_solved", "rms_2d_m", "rms_3d_m", "p95_3d_m", "coverage_95", "nees_mean")
-    print(f"{'':8s}" + "".join(f"{k:>15s}" for k in keys))
+    keys = ("epochs_solved", "epochs_compared", "rms_2d_m", "rms_3d_m", "p95_3d_m", "coverage_95", "nees_mean")
+    print(f"{'':8s}" + "".join(f"{k:>16s}" for k in keys))
     for row in rows:
         cells = [row.get(k) for k in keys]
-        print(f"{row['method']:8s}" + "".join(f"{'' if c is None else f'{c:.2f}':>15s}" for c in cells))
+        print(f"{row['method']:8s}" + "".join(f"{'' if c is None else f'{c:.2f}':>16s}" for c in cells))
         if "unflagged" in row:
             rest = row["unflagged"]
             print(f"  of them not flagged: 3D RMS {rest['rms_3d_m']:.1f} m, 95 % {rest['p95_3d_m']:.1f} m")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from starwise.kernels.filter_clocks import median
 from starwise.kernels.filter_state import enter_clock, forget_common_clock, move_state
+from starwise.kernels.linalg import median
 
 pytestmark = pytest.mark.laws
 NK = 6

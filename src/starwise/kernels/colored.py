@@ -1,6 +1,6 @@
 """Measurement update with correlated errors: satellite by satellite, two codes and a rate each.
 
-The rows of a satellite are taken one after the other (code, rate, second code) on innovations conditioned on all
+The rows of a satellite are taken one after the other (code, second code, rate) on innovations conditioned on all
 that was accepted before, then the state is corrected once with what was accepted: with S = L L' grown row by row,
 
     W = L^-1 H P,    y = L^-1 v,    x += W' y,    P -= W' W,

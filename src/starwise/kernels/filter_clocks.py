@@ -8,24 +8,12 @@ from numpy.typing import NDArray
 from starwise.kernels._jit import njit
 from starwise.kernels.filter_epoch import code_innovation
 from starwise.kernels.filter_state import Belief, FilterOptions, Work, enter_clock, forget_common_clock, move_state
+from starwise.kernels.linalg import median
 from starwise.kernels.rangemodel import RowModel, Rows
 from starwise.kernels.update import USED_CODE
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
-
-
-@njit
-def median(values: F8, n: int) -> float:
-    """Median of the first n values, which are sorted in place (few)."""
-    for i in range(1, n):
-        v = values[i]
-        j = i - 1
-        while j >= 0 and values[j] > v:
-            values[j + 1] = values[j]
-            j -= 1
-        values[j + 1] = v
-    return float(0.5 * (values[(n - 1) // 2] + values[n // 2]))
 
 
 @njit

@@ -38,6 +38,7 @@ from starwise.kernels.ins_run import (
 )
 from starwise.kernels.ins_smooth import Records
 from starwise.kernels.ins_state import At, Motion, reset_transition
+from starwise.kernels.linalg import median
 from starwise.kernels.rangemodel import Epochs, ModelOptions, RowModel, Rows, epoch_corrections
 from starwise.kernels.strapdown import dcm, radii
 from starwise.kernels.update import USED_BOTH, USED_CODE, USED_NONE, USED_RATE, decide
@@ -94,19 +95,6 @@ def antenna(nav: F8, C: F8, arm: F8, omega: F8, E: F8, x: F8) -> None:
 
 
 @njit
-def _middle(values: F8, m: int) -> float:
-    """Median of the first m values, which are sorted in place."""
-    for i in range(1, m):
-        v = values[i]
-        j = i - 1
-        while j >= 0 and values[j] > v:
-            values[j + 1] = values[j]
-            j -= 1
-        values[j + 1] = v
-    return float(0.5 * (values[(m - 1) // 2] + values[m // 2]))
-
-
-@njit
 def _isb(est: F8, at: At, c: int) -> float:
     """Clock of system c against the first, m."""
     if c > 0:
@@ -149,7 +137,7 @@ def align_clock(sky: Sky, start: int, end: int, belief: Belief, n: int, at: At, 
     last = len(known) - 1
     m = _innovations(-1, False, sky, start, end, est, at, x, seen, v)
     if known[0] == 1:
-        middle = _middle(v, m)
+        middle = median(v, m)
         if m >= 3 and abs(middle) > JUMP_M:
             est[at.clk] += middle
             _forget(P, n, at.clk, CLOCK_SIGMA0_M)
@@ -157,20 +145,20 @@ def align_clock(sky: Sky, start: int, end: int, belief: Belief, n: int, at: At, 
         own = _innovations(0, False, sky, start, end, est, at, x, seen, v)
         if own == 0:
             own = _innovations(-1, False, sky, start, end, est, at, x, seen, v)
-        est[at.clk] += _middle(v, own)
+        est[at.clk] += median(v, own)
         _forget(P, n, at.clk, CLOCK_SIGMA0_M)
         known[0] = 1
     for c in range(1, last):
         if known[c] == 0:
             m = _innovations(c, False, sky, start, end, est, at, x, seen, v)
             if m > 0:
-                est[at.isb + c - 1] += _middle(v, m)
+                est[at.isb + c - 1] += median(v, m)
                 _forget(P, n, at.isb + c - 1, SYSTEM_SIGMA0_M)
                 known[c] = 1
     if known[last] == 0:
         m = _innovations(-1, True, sky, start, end, est, at, x, seen, v)
         if m > 0:
-            est[at.clk + 1] += _middle(v, m)
+            est[at.clk + 1] += median(v, m)
         _forget(P, n, at.clk + 1, DRIFT_SIGMA0_MPS if m > 0 else 1000.0)
         known[last] = 1
 

@@ -1,4 +1,4 @@
-"""Small symmetric systems by hand: LAPACK calls inside a kernel cost four times the compile time."""
+"""Small symmetric systems and medians by hand: LAPACK calls inside a kernel cost four times the compile time."""
 
 import math
 
@@ -63,3 +63,16 @@ def cholesky_inverse(L: F8, out: F8, n: int) -> None:
         for i in range(j + 1):
             out[i, j] = column[i]
             out[j, i] = column[i]
+
+
+@njit
+def median(values: F8, n: int) -> float:
+    """Median of the first n values, which are sorted in place (few)."""
+    for i in range(1, n):
+        v = values[i]
+        j = i - 1
+        while j >= 0 and values[j] > v:
+            values[j + 1] = values[j]
+            j -= 1
+        values[j + 1] = v
+    return float(0.5 * (values[(n - 1) // 2] + values[n // 2]))
