@@ -1,0 +1,164 @@
+"""Command ``solve``. Options in, text out; nothing heavy imported early."""
+
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from starwise.errors import StarwiseError
+from starwise.terminal import Json, Progress, show, show_json
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the application."""
+    app.command()(solve)
+
+
+def solve(
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Directory for the results.")],
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="OBS NAV",
+            help="RINEX observations of one receiver and navigation files, in any order, however compressed; SP3 and "
+            "CLK files may stand here, too.",
+        ),
+    ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            metavar="lsq|ekf|s3ekf|federated",
+            help="Estimator; default s3ekf; federated: a filter per constellation, fused. With --imu: loose (default) "
+            "or tight.",
+        ),
+    ] = None,
+    share: Annotated[
+        str | None,
+        typer.Option(metavar="auto|G=..,R=..", help="Shares of the federated filter, scaled to sum 1; default auto."),
+    ] = None,
+    imu: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Inertial readings: adds attitude and sensor biases.")
+    ] = None,
+    imu_config: Annotated[
+        str | None,
+        typer.Option("--imu-config", metavar="FILE.toml|LAYOUT", help="What the file of --imu holds; \\[inertial]."),
+    ] = None,
+    fixes: Annotated[
+        Path | None, typer.Option(metavar="FILE.pos", help="With --imu, in place of RINEX: fixes from elsewhere.")
+    ] = None,
+    error_model: Annotated[
+        str | None,
+        typer.Option(metavar="colored|white", help="Range errors that last, as states, or white; default colored."),
+    ] = None,
+    systems: Annotated[str | None, typer.Option(metavar="LETTERS", help="Satellite systems; default GRECJ.")] = None,
+    mask: Annotated[float | None, typer.Option(metavar="DEG", help="Elevation mask; default 10.")] = None,
+    dynamics: Annotated[
+        str | None,
+        typer.Option(
+            metavar="static|pedestrian|vehicle|aircraft",
+            help="How the user moves; default auto: static where the observations show rest throughout, else vehicle.",
+        ),
+    ] = None,
+    ephemeris: Annotated[Path | None, typer.Option(metavar="SP3", help="Precise orbits.")] = None,
+    clock: Annotated[Path | None, typer.Option(metavar="CLK", help="Precise clocks, with --ephemeris.")] = None,
+    post: Annotated[
+        bool | None,
+        typer.Option(
+            "--post/--no-post",
+            help="Nearest broadcast ephemeris, also one sent after the epoch; default only what had been sent by then.",
+        ),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="T", help="First epoch: 2024-03-30T12:00:00 (GPST; with Z, UTC) or week:tow."),
+    ] = None,
+    end: Annotated[str | None, typer.Option(metavar="T", help="Last epoch.")] = None,
+    interval: Annotated[float | None, typer.Option(metavar="S", help="Only epochs on multiples of S seconds.")] = None,
+    sessions: Annotated[
+        str | None,
+        typer.Option(metavar="LENGTH", help="Start anew after every such time, like 2h; for assess --pool."),
+    ] = None,
+    combination: Annotated[
+        str | None,
+        typer.Option(
+            metavar="single|uncombined|ionosphere_free",
+            help="One frequency or two; default two beside each other (colored), one (white).",
+        ),
+    ] = None,
+    exclude: Annotated[
+        list[str] | None, typer.Option(metavar="SV", help="Satellite not to be used, like G05; repeatable.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="Configuration; options override it.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Any key of the configuration, like process.model=singer."),
+    ] = None,
+    as_json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Position and velocity per epoch out of RINEX observations and navigation files."""
+    began = time.perf_counter()
+    named = {
+        "method": method,
+        "share": share,
+        "error_model": error_model,
+        "systems": systems,
+        "mask_deg": mask,
+        "dynamics": dynamics,
+        "post": post,
+        "start": start,
+        "end": end,
+        "interval_s": interval,
+        "combination": combination,
+        "exclude": exclude or None,
+    }
+    options = {key: value for key, value in named.items() if value is not None}
+    options.update(_settings(settings or []))
+    from starwise import api
+    from starwise.config import load_config
+    from starwise.gnsstime import parse_duration
+
+    if sessions is not None:
+        options["session_s"] = parse_duration(sessions)
+    if imu is not None or imu_config is not None or fixes is not None:
+        from starwise.cli_ins import solve_imu
+
+        given = [*(files or []), *(path for path in (ephemeris, clock) if path is not None)]
+        solve_imu(given, imu, imu_config, fixes, options, config, output, as_json, quiet)
+        return
+    if not files:
+        raise StarwiseError("no files to solve", wanted="RINEX observations and navigation files")
+
+    chosen = load_config(config, options)
+    with Progress(quiet or as_json, quiet) as progress:
+        solution = api.solve(*files, ephemeris=ephemeris, clock=clock, config=chosen, output=output, progress=progress)
+    if as_json:
+        show_json({**solution.provenance, "directory": str(output)})
+    elif not quiet:
+        from starwise.report.text import solve_text
+
+        show(solve_text(solution.provenance, output, time.perf_counter() - began))
+    if not solution.has_position.any():
+        # The files are written and their ledger says why; a script must still be able to tell.
+        sys.stderr.write("starwise: no epoch could be solved; the ledger says why\n")
+        raise typer.Exit(1)
+
+
+def _settings(pairs: list[str]) -> dict[str, Any]:
+    """Values of ``--set KEY=VALUE``: TOML values, or plain text where that is no TOML."""
+    import tomllib
+
+    options: dict[str, Any] = {}
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals or not key.strip():
+            raise StarwiseError("--set", found=pair, wanted="KEY=VALUE")
+        try:
+            options[key.strip()] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            options[key.strip()] = text.strip()
+    return options
