@@ -193,11 +193,28 @@ class Troposphere(Checked):
 class EphemerisError(Checked):
     """``[receiver.ephemeris]``: what the navigation message has wrong, 1 sigma, first-order Markov per satellite."""
 
+    model: Literal["given", "typical"] = "given"
+    """given: the sizes below for every satellite; typical: those of each system (`broadcast_errors.TYPICAL`)."""
     radial_m: NotNegative = 0.0
     along_m: NotNegative = 0.0
     cross_m: NotNegative = 0.0
     clock_m: NotNegative = 0.0
     tau_s: Positive = 7200.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.model == "typical" and any(self.sizes):
+            raise StarwiseError("'model' typical excludes sizes", wanted='model = "given", or no sizes')
+
+    @property
+    def sizes(self) -> tuple[float, float, float, float]:
+        """Sizes given: radial, along track, cross track, clock, m."""
+        return self.radial_m, self.along_m, self.cross_m, self.clock_m
+
+    @property
+    def is_none(self) -> bool:
+        """Whether messages are right."""
+        return self.model == "given" and not any(self.sizes)
 
 
 @dataclass(frozen=True)

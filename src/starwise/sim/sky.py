@@ -54,6 +54,7 @@ from starwise.kernels.sim_orbits import (
     true_states,
 )
 from starwise.signals import sv_id, sv_name
+from starwise.sim.broadcast_errors import typical_sizes
 from starwise.sim.constellations import Constellation, constellations
 from starwise.sim.messages import ACCURACY_M, Satellite, Span, delays_of, make_records, message_of, orbit_table
 from starwise.sim.orbits import (
@@ -116,11 +117,11 @@ class TrueSky:
         Per satellite and axis a constant and a slow sinusoid (of ``tau_s`` a radian), half the variance each: their
         sum is Gaussian with the sigma asked for, and smooth. Streams ``ephemeris/<satellite>``.
         """
-        sigma = np.array([error.radial_m, error.along_m, error.cross_m, error.clock_m])
-        if not sigma.any():
+        if error.is_none:
             return self
         table = np.zeros((len(self.sv), N_ERRORS, 4))
         for k, sv in enumerate(self.sv):
+            sigma = typical_sizes(int(sv)) if error.model == "typical" else np.array(error.sizes)
             draw = streams(f"ephemeris/{sv_name(int(sv))}").standard_normal((3, N_ERRORS)) * sigma / math.sqrt(2.0)
             table[k, :, 0] = draw[0]
             table[k, :, 1] = np.hypot(draw[1], draw[2])

@@ -73,7 +73,7 @@ def only_noise(scenario: Scenario) -> bool:
         and r.multipath.sigma_m == 0.0
         and r.ionosphere.model == "none"
         and r.troposphere.model == "none"
-        and max(errors.radial_m, errors.along_m, errors.cross_m, errors.clock_m) == 0.0
+        and errors.is_none
         and r.clock.reset == "none"
         and not scenario.faults
         and all(len(names) == 1 for names in r.signals.values())
