@@ -148,6 +148,31 @@ def iso(t_ns: int, decimals: int = 3) -> str:
     return text if decimals == 0 else f"{text}.{frac // step:0{decimals}d}"
 
 
+def labels(label_ns: IntArray, decimals: int, pattern: str = "{date}T{time}") -> list[str]:
+    """Calendar labels of many instants, ``2024-03-30T12:00:00.000``; of UTC labels as of GPST.
+
+    Parameters
+    ----------
+    label_ns : (n,) int64
+        ns since 1980-01-06 00:00 of the scale that is written; cut, not rounded, to ``decimals``.
+    decimals : int
+        Of the second, 0 to 9.
+    pattern : str
+        ``{date}`` is yyyy-mm-dd, ``{time}`` is hh:mm:ss with decimals.
+    """
+    seconds = np.datetime_as_string(np.datetime64(GPS_EPOCH, "s") + (label_ns // NS).astype("timedelta64[s]"), unit="s")
+    parts = ((label_ns % NS) // 10 ** (9 - decimals)).tolist() if decimals else []
+    whole = [text.split("T") for text in seconds.tolist()]
+    tails = [f".{part:0{decimals}d}" for part in parts] if decimals else [""] * len(whole)
+    return [pattern.format(date=day, time=clock + tail) for (day, clock), tail in zip(whole, tails, strict=True)]
+
+
+def decimals_of(t_ns: IntArray, least: int = 0) -> int:
+    """Decimals of a second that instants need to be told apart from their neighbours: ``least``, 3, 6 or 9."""
+    steps = [least, *(d for d in (3, 6) if d > least)]
+    return next((d for d in steps if not (np.asarray(t_ns) % 10 ** (9 - d)).any()), 9)
+
+
 def parse_time(text: str) -> int:
     """GPST, ns, of a time typed by a person: ISO in GPST, or ``week:tow``; with a trailing ``Z``, UTC.
 

@@ -24,7 +24,7 @@ from starwise.constants import (
 )
 from starwise.errors import StarwiseError
 from starwise.frames import C_ne_enu, ecef_from_geodetic, geodetic_from_ecef, rotations_ne_enu
-from starwise.gnsstime import GPS_EPOCH, from_calendar, label_to_gpst
+from starwise.gnsstime import decimals_of, from_calendar, label_to_gpst, labels
 from starwise.io.files import read_bytes
 from starwise.types import Solution
 
@@ -76,27 +76,17 @@ def write_pos(solution: Solution, *, program: str = "starwise") -> bytes:
         columns += [vel_n, _deviations(C @ solution.cov_vel[keep] @ C.transpose(0, 2, 1))]
         row += " %10.5f %10.5f %10.5f %9.5f %8.5f %8.5f %8.5f %8.5f %8.5f"
         names += "    vn(m/s)    ve(m/s)    vu(m/s)      sdvn     sdve     sdvu    sdvne    sdveu    sdvun"
-    decimals = next(d for d in (3, 6, 9) if d == 9 or not (t_ns % 10 ** (9 - d)).any())
+    decimals = decimals_of(t_ns, least=3)
     head = (
         f"% program   : {program}\n"
         "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,7:coasted,0:suspect,"
         "ns=# of satellites)\n"
         f"%  GPST{' ' * (16 + decimals)}{names[1:]}\n"
     )
-    times = _labels(t_ns, decimals)
+    times = [text.replace("-", "/") for text in labels(t_ns, decimals, "{date} {time}")]
     values = np.concatenate(columns, axis=1).tolist()
     body = "\n".join([row % (at, *line) for at, line in zip(times, values, strict=True)])
     return (head + body + ("\n" if body else "")).encode("ascii")
-
-
-def _labels(t_ns: NDArray[np.int64], decimals: int) -> list[str]:
-    """Calendar labels ``2024/03/30 12:00:00.000``."""
-    day0 = np.datetime64(GPS_EPOCH, "s")
-    step = 10 ** (9 - decimals)
-    seconds = np.datetime_as_string(day0 + (t_ns // NS).astype("timedelta64[s]"), unit="s")
-    fraction = ((t_ns % NS) // step).tolist()
-    clock = [text.replace("-", "/").replace("T", " ") for text in seconds.tolist()]
-    return [f"{text}.{part:0{decimals}d}" for text, part in zip(clock, fraction, strict=True)]
 
 
 def _deviations(cov: F8) -> F8:
