@@ -6,7 +6,7 @@ The main entry points, imported when first used so that ``import starwise`` cost
 * `assess`: errors of a solution against the truth; `pool`: the covariances of many runs against theirs;
 * `fuse_files`: position fixes of several receivers in, one solution out;
 * `read_obs`, `read_nav`, `read_sp3`, `read_clk`, `read_pos`, `read_solution`, `read_truth`: files as nouns;
-* `write_results`: a solution as files;
+* `write_results`: a solution as files; `export`: for maps and other programs;
 * `RunConfig`, `Solution`, `Observations`, `StarwiseError`: the nouns.
 """
 
@@ -17,6 +17,7 @@ from starwise._version import __version__
 
 if TYPE_CHECKING:
     from starwise.api import assess, info, pool, solve
+    from starwise.api_export import export
     from starwise.config import RunConfig, load_config
     from starwise.errors import StarwiseError
     from starwise.io.clk import read_clk
@@ -34,6 +35,7 @@ _HOME = {
     "assess": "api",
     "info": "api",
     "pool": "api",
+    "export": "api_export",
     "fuse_files": "studies.fusing",
     "RunConfig": "config",
     "load_config": "config",
@@ -61,6 +63,7 @@ __all__ = [
     "Truth",
     "__version__",
     "assess",
+    "export",
     "fuse_files",
     "info",
     "load_config",
