@@ -711,6 +711,16 @@ class Solution:
         """Epochs with a position, whatever its status."""
         return np.asarray(np.isfinite(self.pos_e).all(axis=1))
 
+    @property
+    def plot(self) -> Any:
+        """Pictures for papers: ``plot.track()``, ``.errors(truth)``, ``.sky()``, ``.nis()``; each a matplotlib Figure.
+
+        A `starwise.report.figures.Plots`, which stands floors above this noun and is looked up when asked for.
+        """
+        from importlib import import_module
+
+        return import_module("starwise.report.figures").Plots(self)
+
 
 @dataclass(frozen=True)
 class Truth:
