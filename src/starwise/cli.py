@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from starwise import cli_assess, cli_calibrate, cli_export, cli_fuse, cli_sim, cli_solve
+from starwise import cli_assess, cli_batch, cli_calibrate, cli_export, cli_fuse, cli_sim, cli_solve
 from starwise.errors import StarwiseError
 from starwise.terminal import Json
 from starwise.terminal import Progress as _Progress
@@ -61,6 +61,7 @@ def _main(
 
 cli_solve.register(app)
 cli_assess.register(app)
+cli_batch.register(app)
 cli_export.register(app)
 
 

@@ -3,12 +3,12 @@
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from starwise.errors import StarwiseError
-from starwise.terminal import Json, Progress, show, show_json
+from starwise.terminal import Json, Progress, read_settings, show, show_json
 
 
 def register(app: typer.Typer) -> None:
@@ -117,7 +117,7 @@ def solve(
         "exclude": exclude or None,
     }
     options = {key: value for key, value in named.items() if value is not None}
-    options.update(_settings(settings or []))
+    options.update(read_settings(settings or []))
     from starwise import api
     from starwise.config import load_config
     from starwise.gnsstime import parse_duration
@@ -146,19 +146,3 @@ def solve(
         # The files are written and their ledger says why; a script must still be able to tell.
         sys.stderr.write("starwise: no epoch could be solved; the ledger says why\n")
         raise typer.Exit(1)
-
-
-def _settings(pairs: list[str]) -> dict[str, Any]:
-    """Values of ``--set KEY=VALUE``: TOML values, or plain text where that is no TOML."""
-    import tomllib
-
-    options: dict[str, Any] = {}
-    for pair in pairs:
-        key, equals, text = pair.partition("=")
-        if not equals or not key.strip():
-            raise StarwiseError("--set", found=pair, wanted="KEY=VALUE")
-        try:
-            options[key.strip()] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
-            options[key.strip()] = text.strip()
-    return options

@@ -7,6 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
+from starwise.errors import StarwiseError
+
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
@@ -60,3 +62,19 @@ def show(text: str) -> None:
 def show_json(value: Any) -> None:
     """Print one JSON object."""
     sys.stdout.write(json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def read_settings(pairs: list[str]) -> dict[str, Any]:
+    """Values of ``--set KEY=VALUE``: TOML values, or plain text where that is no TOML."""
+    import tomllib
+
+    options: dict[str, Any] = {}
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals or not key.strip():
+            raise StarwiseError("--set", found=pair, wanted="KEY=VALUE")
+        try:
+            options[key.strip()] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            options[key.strip()] = text.strip()
+    return options

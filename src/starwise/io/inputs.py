@@ -38,16 +38,25 @@ def peek(path: str | Path) -> FileKind:
     StarwiseError
         The file cannot be read or its packing is damaged.
     """
+    kind = detect(head_of(path))
+    return FileKind("rinex_obs", kind.version) if kind.kind == "crinex" else kind
+
+
+def head_of(path: str | Path) -> bytes:
+    """Beginning of a file's content under whatever it is packed with; of compact RINEX, as it stands.
+
+    Raises
+    ------
+    StarwiseError
+        The file cannot be read or its packing is damaged.
+    """
     path = Path(path)
     try:
         with open(path, "rb") as file:
             head = _unpacked_head(file.read(_HEAD), path)
     except OSError as error:
         raise StarwiseError(f"cannot be read: {error.strerror or error}", file=path) from None
-    if head is None:
-        head = read_bytes(path)[:_HEAD]
-    kind = detect(head)
-    return FileKind("rinex_obs", kind.version) if kind.kind == "crinex" else kind
+    return read_bytes(path)[:_HEAD] if head is None else head
 
 
 def _unpacked_head(head: bytes, path: Path) -> bytes | None:
