@@ -180,4 +180,5 @@ def make_ledger(obs: Observations, prepared: Prepared, out: RowModel) -> dict[st
         "rate_innovation_mps": spread(out.v_rate),
         "rate_innovation_var_m2ps2": spread(out.s_rate),
         "ephemeris_age_s": spread(prepared.states.age_s),
+        "ephemeris_sigma_m": spread(prepared.rows.sigma_sat_m),
     }
