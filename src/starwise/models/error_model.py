@@ -59,7 +59,9 @@ def slow_sigma(p: ErrorParameters, sv: NDArray[np.int16], claim_m: F8, nominal_m
     return np.where(precise, np.hypot(p.precise_fraction * slow, claim_m), np.hypot(slow, excess))
 
 
-def _biases(sv: NDArray[np.int16], sig: NDArray[np.int16], sig2: NDArray[np.int16]) -> tuple[I8, I8, tuple[str, ...]]:
+def code_biases(
+    sv: NDArray[np.int16], sig: NDArray[np.int16], sig2: NDArray[np.int16]
+) -> tuple[I8, I8, tuple[str, ...]]:
     """Index of the receiver code bias of the first and second signals; names. QZSS shares GPS's clock."""
     key1 = (sv >> 8).astype(np.int64) << 16 | sig
     key2 = (sv >> 8).astype(np.int64) << 16 | sig2
@@ -119,7 +121,7 @@ def error_rows(
     # GLONASS broadcasts no delay for its second signal: its signal bias is as large as what is missing.
     known = np.isfinite(delay2_m) | (s.sv >> 8 == SYS_R)
     use = (s.status == ROW_USED) & (s.row2 >= 0) & known
-    bias1, bias2, bias_names = _biases(s.sv, s.sig, np.where(use, s.sig2, np.int16(0)))
+    bias1, bias2, bias_names = code_biases(s.sv, s.sig, np.where(use, s.sig2, np.int16(0)))
     code2, freq2, cn02, clock2 = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
     row2 = s.row2[use]
     code2[use] = obs.code_m[row2]
