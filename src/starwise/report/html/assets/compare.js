@@ -1,0 +1,1 @@
+// Several solutions beside each other.
