@@ -126,22 +126,17 @@ def _sentences(track: Track) -> str:
         place = f"{lat[i]},{lon[i]}"
         valid = "V" if quality[i] == 0 else "A"
         mode = {1: "A", 6: "E", 0: "N"}[quality[i]]
-        out.append(
-            _sentence(
-                f"GNGGA,{at},{place},{quality[i]},{used[i]:02d},{hdop[i]},{heights[i]:.3f},M,{separation:.3f},M,,"
-            )
-        )
-        out.append(_sentence(f"GNRMC,{at},{valid},{place},{motion[i]},{dates[i]},,,{mode}"))
+        out.append(f"GNGGA,{at},{place},{quality[i]},{used[i]:02d},{hdop[i]},{heights[i]:.3f},M,{separation:.3f},M,,")
+        out.append(f"GNRMC,{at},{valid},{place},{motion[i]},{dates[i]},,,{mode}")
         if ellipse[i]:
-            out.append(_sentence(f"GNGST,{at},,{ellipse[i]}"))
-    return "".join(out)
+            out.append(f"GNGST,{at},,{ellipse[i]}")
+    sums = np.bitwise_xor.reduceat(np.frombuffer("".join(out).encode("ascii"), np.uint8), _starts(out)).tolist()
+    return "".join([f"${body}*{total:02X}\r\n" for body, total in zip(out, sums, strict=True)])
 
 
-def _sentence(body: str) -> str:
-    total = 0
-    for byte in body.encode("ascii"):
-        total ^= byte
-    return f"${body}*{total:02X}\r\n"
+def _starts(texts: Sequence[str]) -> NDArray[np.int64]:
+    """Where each text begins when they are joined; none is empty."""
+    return np.cumsum([0, *(len(text) for text in texts[:-1])])
 
 
 def _angles(degrees: F8, signs: str, digits: int) -> list[str]:

@@ -1,71 +1,110 @@
-"""NMEA 0183 positions (GGA, with the date of RMC or ZDA) as a `Solution`."""
+"""NMEA 0183 positions (GGA, dates of RMC or ZDA, sigmas of GST) as a `Solution`."""
 
 import re
 from collections import Counter
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from starwise.constants import DAY_S, EPOCH_COASTED, EPOCH_OK, NS
 from starwise.errors import StarwiseError
-from starwise.frames import ecef_from_geodetic
+from starwise.frames import ecef_from_geodetic, rotations_ne_enu
 from starwise.gnsstime import from_calendar
+from starwise.io.bare import bare_solution
 from starwise.types import Solution
 
+F8 = NDArray[np.float64]
+
 _ESTIMATED: Final = 6  # GGA fix quality: dead reckoning
-_SENTENCE = re.compile(r"\$([A-Z]{2})([A-Z]{3}),([^*\r\n]*)(?:\*([0-9A-Fa-f]{2}))?\s*$")
+_SENTENCE: Final = re.compile(
+    # With a checksum it may stand anywhere, as in logs with binary messages; without one it ends its line.
+    r"\$([A-Z]{2})(GGA|RMC|ZDA|GST),([^*$\r\n]*)(?:\*([0-9A-Fa-f]{2})|[ \t]*(?=[\r\n]|\Z))"
+)
+_ALIKE: Final = 0.3
+"""Greatest relative difference between the variances of the ellipse and of latitude and longitude of one GST."""
+
+Row = tuple[int, float, float, float, int, int]
+"""GPST ns, latitude, longitude (deg), ellipsoidal height (m), quality, satellites."""
+
+
+def looks_like_nmea(head: str) -> bool:
+    """Whether the beginning of a file has a sentence that positions are read from."""
+    return _SENTENCE.search(head) is not None
+
+
+@dataclass
+class _Log:
+    """What has been read so far."""
+
+    date: tuple[int, int, int] | None = None
+    date_s: float = -1.0
+    waiting: list[tuple[str, list[str]]] = field(default_factory=list)
+    rows: list[Row] = field(default_factory=list)
+    sigmas: dict[int, list[float]] = field(default_factory=dict)
+    skipped: int = 0
 
 
 def parse_nmea(text: str, name: str) -> Solution:
-    """Solution of a text of NMEA sentences: GGA gives positions, RMC or ZDA the date.
+    """Solution of a text with NMEA sentences of any talker: GGA gives positions, RMC or ZDA the date, GST the sigmas.
 
     Height above the ellipsoid is the sum of the antenna's height above the geoid and the geoid separation of the same
-    sentence. Time is UTC. GGA has no sigmas: covariances are NaN. Sentences with a wrong checksum, and those before
-    the first date, are left out and counted in ``provenance["skipped"]``.
+    sentence. Time is UTC. Covariances are those of the GST of the same time: 1-sigma errors of latitude, longitude and
+    height; east and north are correlated as the error ellipse says, where ellipse and sigmas agree. Epochs without GST
+    have NaN, and ``provenance["covariance"]`` says how many those are. Sentences with a wrong checksum, and those
+    before the first date, are left out and counted in ``provenance["skipped"]``; a sentence may stand after other
+    things in its line (logs of Android, mixed binary logs).
 
     Raises
     ------
     StarwiseError
         No sentence with a position and a date.
     """
-    date: tuple[int, int, int] | None = None
-    last_s = -1.0
-    rows: list[tuple[int, float, float, float, int, int]] = []
-    waiting: list[tuple[float, list[str]]] = []
-    skipped = 0
-    for line in text.splitlines():
-        match = _SENTENCE.match(line.strip())
-        if match is None or not _checksum_holds(line.strip(), match.group(4)):
-            skipped += bool(line.strip())
+    log = _Log()
+    for match in _SENTENCE.finditer(text):
+        if not _checksum_holds(match):
+            log.skipped += 1
             continue
-        kind, fields = match.group(2), match.group(3).split(",")
         try:
-            if kind == "RMC" and fields[1] == "A":
-                date = (int(fields[8][4:6]), int(fields[8][2:4]), int(fields[8][0:2]))
-                last_s = _second_of_day(fields[0])
-            elif kind == "ZDA" and len(fields) >= 4 and fields[3]:
-                date = (int(fields[3]), int(fields[2]), int(fields[1]))
-                last_s = _second_of_day(fields[0])
-            elif kind == "GGA" and fields[5] not in ("", "0"):
-                waiting.append((_second_of_day(fields[0]), fields))
-            if date is not None:
-                rows += [_row(date, last_s, second, gga) for second, gga in waiting]
-                waiting.clear()
+            _take(log, match.group(2), match.group(3).split(","))
         except (ValueError, IndexError, StarwiseError):
-            waiting.clear()
-            skipped += 1
-    if not rows:
+            log.waiting.clear()
+            log.skipped += 1
+    if not log.rows:
         raise StarwiseError("no NMEA position with a date", file=name, wanted="GGA with RMC or ZDA sentences")
-    return _solution(rows, skipped + len(waiting), name)
+    log.skipped += len(log.waiting)
+    return _solution(log, name)
 
 
-def _checksum_holds(sentence: str, given: str | None) -> bool:
-    if given is None:
+def _take(log: _Log, kind: str, fields: list[str]) -> None:
+    if kind == "RMC":
+        if fields[1] == "A":
+            log.date = (int(fields[8][4:6]), int(fields[8][2:4]), int(fields[8][0:2]))
+            log.date_s = _second_of_day(fields[0])
+    elif kind == "ZDA":
+        if len(fields) >= 4 and fields[3]:
+            log.date = (int(fields[3]), int(fields[2]), int(fields[1]))
+            log.date_s = _second_of_day(fields[0])
+    elif kind == "GST" or fields[5] not in ("", "0"):
+        log.waiting.append((kind, fields))
+    if log.date is not None:
+        for waiting, given in log.waiting:
+            t_ns = _instant(log.date, log.date_s, _second_of_day(given[0]))
+            if waiting == "GST":
+                log.sigmas[t_ns] = [_positive(text) for text in given[2:8]]
+            else:
+                log.rows.append(_row(t_ns, given))
+        log.waiting.clear()
+
+
+def _checksum_holds(match: re.Match[str]) -> bool:
+    if match.group(4) is None:
         return True
     total = 0
-    for ch in sentence[1 : sentence.index("*")]:
-        total ^= ord(ch)
-    return total == int(given, 16)
+    for byte in match.group(0)[1:-3].encode("latin-1", "replace"):
+        total ^= byte
+    return total == int(match.group(4), 16)
 
 
 def _second_of_day(text: str) -> float:
@@ -75,17 +114,21 @@ def _second_of_day(text: str) -> float:
     return second
 
 
-def _row(
-    date: tuple[int, int, int], date_s: float, second: float, gga: list[str]
-) -> tuple[int, float, float, float, int, int]:
-    """GPST ns, latitude, longitude (deg), ellipsoidal height (m), quality, satellites of a GGA sentence."""
-    lat_deg = _angle(gga[1], gga[2] == "S", 2)
-    lon_deg = _angle(gga[3], gga[4] == "W", 3)
-    h = float(gga[8]) + (float(gga[10]) if gga[10] else 0.0)
+def _instant(date: tuple[int, int, int], date_s: float, second: float) -> int:
+    """GPST, ns, of a second of a UTC day."""
     # The date belongs to the second of its own sentence; GGA may stand on the other side of midnight.
     days = round((date_s - second) / DAY_S)
     t_ns = from_calendar(*date, system="UTC") + days * DAY_S * NS + round(second * NS)
-    if not (0 <= t_ns < 1 << 62 and abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0 and abs(h) < 1e9):
+    if not 0 <= t_ns < 1 << 62:
+        raise ValueError("out of range")
+    return t_ns
+
+
+def _row(t_ns: int, gga: list[str]) -> Row:
+    lat_deg = _angle(gga[1], gga[2] == "S", 2)
+    lon_deg = _angle(gga[3], gga[4] == "W", 3)
+    h = float(gga[8]) + (float(gga[10]) if gga[10] else 0.0)
+    if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0 and abs(h) < 1e9):
         raise ValueError("out of range")
     return t_ns, lat_deg, lon_deg, h, int(gga[5]), min(int(gga[6] or 0), 9999)
 
@@ -95,33 +138,55 @@ def _angle(text: str, negative: bool, digits: int) -> float:
     return -value if negative else value
 
 
-def _solution(rows: list[tuple[int, float, float, float, int, int]], skipped: int, name: str) -> Solution:
-    rows.sort(key=lambda row: row[0])
-    n = len(rows)
+def _positive(text: str) -> float:
+    """A sigma; blank, zero and less are what receivers write for none."""
+    value = float(text) if text.strip() else 0.0
+    return value if 0.0 < value < 1e9 else float("nan")
+
+
+def _covariances(rows: list[Row], sigmas: dict[int, list[float]], llh: F8) -> F8:
+    """ECEF covariances (n, 3, 3), NaN without GST."""
+    table = np.full((len(rows), 6), np.nan)
+    for i, row in enumerate(rows):
+        given = sigmas.get(row[0])
+        if given is not None:
+            table[i, : len(given)] = given
+    major2, minor2, bearing = table[:, 0] ** 2, table[:, 1] ** 2, np.radians(table[:, 2])
+    s, c = np.sin(bearing), np.cos(bearing)
+    ellipse = np.stack([major2 * s * s + minor2 * c * c, major2 * c * c + minor2 * s * s], axis=1)  # east, north
+    claimed = table[:, [4, 3]] ** 2
+    horizontal = np.where(np.isnan(claimed), ellipse, claimed)
+    # Some receivers fill the ellipse and the sigmas from different sources; then nothing is known of a correlation.
+    agree = (np.abs(ellipse - horizontal) <= _ALIKE * horizontal).all(axis=1)
+    cov = np.zeros((len(rows), 3, 3))
+    cov[:, 0, 0], cov[:, 1, 1], cov[:, 2, 2] = horizontal[:, 0], horizontal[:, 1], table[:, 5] ** 2
+    bound = 0.99 * np.sqrt(horizontal[:, 0] * horizontal[:, 1])
+    cov[:, 0, 1] = cov[:, 1, 0] = np.where(agree, np.clip((major2 - minor2) * s * c, -bound, bound), 0.0)
+    C = rotations_ne_enu(llh[:, 0], llh[:, 1])
+    rotated = C.transpose(0, 2, 1) @ cov @ C
+    rotated[np.isnan(cov).any(axis=(1, 2))] = np.nan
+    return np.asarray(rotated)
+
+
+def _solution(log: _Log, name: str) -> Solution:
+    rows = sorted(log.rows, key=lambda row: row[0])
     llh = np.array([row[1:4] for row in rows])
     llh[:, :2] = np.radians(llh[:, :2])
     quality = np.array([row[4] for row in rows])
-    nan, none = np.full((n, 3, 3), np.nan), np.full((n, 0), np.nan)
-    return Solution(
-        t_ns=np.array([row[0] for row in rows], dtype=np.int64),
-        status=np.where(quality == _ESTIMATED, EPOCH_COASTED, EPOCH_OK).astype(np.uint8),
-        pos_e=ecef_from_geodetic(llh),
-        vel_e=np.full((n, 3), np.nan),
-        cov_pos=nan,
-        cov_vel=nan.copy(),
-        clock_m=none,
-        drift_mps=none,
-        clock_sigma_m=none,
-        clock_names=(),
-        n_used=np.array([row[5] for row in rows], dtype=np.int32),
-        dop=np.full((n, 4), np.nan),
-        nis=np.full(n, np.nan),
-        dof=np.zeros(n, dtype=np.int32),
-        provenance={
+    cov_pos = _covariances(rows, log.sigmas, llh)
+    without = int(np.isnan(cov_pos[:, 0, 0]).sum())
+    return bare_solution(
+        np.array([row[0] for row in rows], dtype=np.int64),
+        ecef_from_geodetic(llh),
+        {
             "file": name,
             "format": "nmea",
             "height": "ellipsoidal",
-            "skipped": skipped,
+            "covariance": "no GST: none" if without == len(rows) else f"GST; {without} epochs without",
+            "skipped": log.skipped,
             "quality": {str(q): count for q, count in sorted(Counter(quality.tolist()).items())},
         },
+        cov_pos=cov_pos,
+        status=np.where(quality == _ESTIMATED, EPOCH_COASTED, EPOCH_OK),
+        n_used=[row[5] for row in rows],
     )

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from starwise.constants import EPOCH_STATUS_NAMES, ROW_STATUS_NAMES
 from starwise.errors import StarwiseError
 from starwise.frames import geodetic_from_ecef, rotations_ne_enu
-from starwise.io.pos import read_pos, write_pos
+from starwise.io.foreign import read_foreign
+from starwise.io.kf_gins import NAV_NAME
+from starwise.io.pos import write_pos
 from starwise.signals import signal_id, signal_name, sv_id, sv_name
 from starwise.types import Solution
 
@@ -218,12 +220,13 @@ def ledger_table(ledger: dict[str, NDArray[Any]]) -> "pl.DataFrame":
 
 
 def read_solution(path: str | Path, *, ledger: bool = True) -> Solution:
-    """Solution of a result directory, of its ``solution.parquet`` alone, or of a `.pos` file.
+    """Solution of a result directory, of its ``solution.parquet`` alone, or of a file of another program.
 
     Parameters
     ----------
     path : path-like
-        Directory, Parquet file, or position file.
+        Directory, Parquet file, or what `starwise.io.foreign.read_foreign` reads: `.pos`, ``.stat``, NMEA, tables of
+        gnss_lib_py, navigation results of KF-GINS (also their directory), ``starwise export --to csv``.
     ledger : bool
         Read the ledger, too, where there is one.
 
@@ -235,8 +238,10 @@ def read_solution(path: str | Path, *, ledger: bool = True) -> Solution:
     path = Path(path)
     if not path.exists():
         raise StarwiseError("no such file or directory", file=path)
-    if path.is_file() and path.read_bytes()[:4] != b"PAR1":
-        return read_pos(path)
+    if path.is_dir() and not (path / SOLUTION).exists() and (path / NAV_NAME).is_file():
+        path = path / NAV_NAME
+    if path.is_file() and not _is_parquet(path):
+        return read_foreign(path)
     table_path = path / SOLUTION if path.is_dir() else path
     provenance: dict[str, Any] = {}
     if path.is_dir():
@@ -249,6 +254,31 @@ def read_solution(path: str | Path, *, ledger: bool = True) -> Solution:
         return _solution_of(table, {} if rows is None else _ledger_of(rows), provenance)
     except (KeyError, ValueError, TypeError) as error:
         raise StarwiseError(f"not a solution table ({error})", file=table_path) from None
+
+
+def read_table(path: str | Path) -> Solution:
+    """Solution of a table that ``starwise export --to csv`` wrote.
+
+    Raises
+    ------
+    StarwiseError
+        Not such a table.
+    """
+    import polars as pl
+
+    try:
+        table = pl.read_csv(path, infer_schema_length=None)
+        return _solution_of(table, {}, {"file": str(path), "format": "starwise csv"})
+    except (OSError, KeyError, ValueError, TypeError, OverflowError, pl.exceptions.PolarsError) as error:
+        raise StarwiseError(f"not a solution table ({str(error).splitlines()[0]})", file=path) from None
+
+
+def _is_parquet(path: Path) -> bool:
+    try:
+        with open(path, "rb") as file:
+            return file.read(4) == b"PAR1"
+    except OSError as error:
+        raise StarwiseError(f"cannot be read: {error.strerror}", file=path) from None
 
 
 def _read_run(path: Path) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from starwise.constants import NS
 from starwise.errors import StarwiseError
 from starwise.frames import ecef_from_geodetic
 from starwise.gnsstime import from_week_tow, parse_time, utc_to_gpst
+from starwise.io.foreign import kind_of
 from starwise.io.results import read_solution
 from starwise.types import Truth
 
@@ -59,7 +60,7 @@ def read_truth(where: str) -> Truth:
         raise StarwiseError(
             "no such truth", found=where, wanted="X,Y,Z in metres, lat,lon,h in degrees and metres, or a file"
         )
-    if path.is_file() and path.suffix.lower() in (".csv", ".txt"):
+    if path.is_file() and path.suffix.lower() in (".csv", ".txt") and kind_of(path) == "pos":
         return _read_table(path)
     if path.is_file() and path.suffix.lower() == ".parquet":
         simulated = _simulated_truth(path)
