@@ -29,6 +29,7 @@ RECORDS: Final = ("$POS", "$VELACC", "$CLK", "$ION", "$TROP", "$TRPG", "$HWBIAS"
 """Kinds of records that RTKLIB writes."""
 _SINGLE: Final = ("3", "5")
 """Qualities of single-point positions: SBAS, single."""
+_DGPS: Final = "4"
 _FIXED: Final = 1
 _PPP: Final = 6
 _DEAD: Final = 7
@@ -81,7 +82,7 @@ def read_stat(path: str | Path) -> Solution:
         except (ValueError, OverflowError):
             raise StarwiseError("not a $POS record", file=name, line=number, found=",".join(fields)) from None
     pos_e, cov_pos = _positions(table, quality)
-    finite = np.isfinite(pos_e).all(axis=1)
+    finite = np.asarray(np.isfinite(pos_e).all(axis=1))
     llh = geodetic_from_ecef(np.where(finite[:, None], pos_e, 0.0))
     C = rotations_ne_enu(llh[:, 0], llh[:, 1])
     absent = np.asarray(np.all(vel_n == 0.0, axis=1) | ~np.all(np.abs(vel_n) < 1e6, axis=1))
@@ -120,16 +121,16 @@ def read_stat_residuals(path: str | Path) -> Residuals:
     texts, numbers = _columns(lines, name)
     t_ns = np.round(numbers["week"] * WEEK_S).astype(np.int64) * NS + np.round(numbers["tow"] * NS).astype(np.int64)
     sv = _satellites(texts["sv"], lines, name)
-    at = zip(texts["week"], texts["tow"], strict=True)
-    single = np.array([quality.get(instant, "") in _SINGLE for instant in at])
+    said = [quality.get(instant, "") for instant in zip(texts["week"], texts["tow"], strict=True)]
+    single, code_only = np.isin(said, _SINGLE), np.isin(said, (*_SINGLE, _DGPS))
     frequency = numbers["frq"].astype(np.int64)
     known = np.abs(numbers["resp"]) < 1e9
     valid = known & np.where(single, frequency == 1, numbers["vsat"] != 0.0)
-    relative = bool({"1", "2", "4"} & set(quality.values())) and str(_PPP) not in quality.values()
+    relative = bool({"1", "2", _DGPS} & set(quality.values())) and str(_PPP) not in quality.values()
     # differences of the reference satellite against itself
     valid &= ~(relative & (numbers["resp"] == 0.0))
     code = np.where(known & (valid | (not relative)), numbers["resp"], np.nan)
-    phase = np.where(single | (relative & ~valid) | ~(np.abs(numbers["resc"]) < 1e9), np.nan, numbers["resc"])
+    phase = np.where(code_only | (relative & ~valid) | ~(np.abs(numbers["resc"]) < 1e9), np.nan, numbers["resc"])
     notes = ["residuals are those after the fit; RTKLIB writes no variances for them"]
     if relative:
         notes.append("residuals of relative positioning are double differences against a satellite that is not named")
