@@ -93,6 +93,10 @@ def solve(
     config: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="Configuration; options override it.")
     ] = None,
+    rtklib_conf: Annotated[
+        Path | None,
+        typer.Option("--rtklib-conf", metavar="FILE.conf", help="Options of RTKLIB, as far as there are equivalents."),
+    ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Any key of the configuration, like process.model=singer."),
@@ -124,6 +128,13 @@ def solve(
 
     if sessions is not None:
         options["session_s"] = parse_duration(sessions)
+    notes: list[str] = []
+    if rtklib_conf is not None:
+        from starwise.io.rtklib_conf import options_of
+
+        others = {"--config": config, "--imu": imu or imu_config or fixes}
+        given = [*(files or []), *([ephemeris] if ephemeris else [])]
+        options, notes = options_of(rtklib_conf, options, others, given)
     if imu is not None or imu_config is not None or fixes is not None:
         from starwise.cli_ins import solve_imu
 
@@ -135,7 +146,9 @@ def solve(
 
     chosen = load_config(config, options)
     with Progress(quiet or as_json, quiet) as progress:
-        solution = api.solve(*files, ephemeris=ephemeris, clock=clock, config=chosen, output=output, progress=progress)
+        solution = api.solve(
+            *files, ephemeris=ephemeris, clock=clock, config=chosen, output=output, progress=progress, notes=notes
+        )
     if as_json:
         show_json({**solution.provenance, "directory": str(output)})
     elif not quiet:
