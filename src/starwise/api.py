@@ -1,6 +1,6 @@
 """The whole job in one call: files in, nouns out. The command line is a thin layer over these functions."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +28,7 @@ def solve(
     config: RunConfig | PathLike | None = None,
     output: PathLike | None = None,
     progress: Progress | None = None,
+    notes: Sequence[str] = (),
     **options: Any,
 ) -> Solution:
     """Position and velocity per epoch, with covariance, from the observations of one receiver.
@@ -44,6 +45,8 @@ def solve(
     output : path-like, optional
         Directory for `solution.parquet`, `ledger.parquet`, `solution.pos` and `run.json`.
     progress : callable, optional
+    notes : sequence of str
+        To stand in ``run.json`` before what the run itself has to say.
     **options
         Fields of `RunConfig` that override ``config``.
 
@@ -71,6 +74,9 @@ def solve(
     with ThreadPoolExecutor(1) as pool:
         records = pool.submit(_input_records, inputs)
         solution = _solve(inputs, chosen, say, records)
+    if notes:
+        said = [*notes, *solution.provenance.get("notes", ())]
+        solution = replace(solution, provenance={**solution.provenance, "notes": said})
     if output is not None:
         say("writing", 0.95)
         write_results(solution, output)
