@@ -28,6 +28,7 @@ def solve(
     config: RunConfig | PathLike | None = None,
     output: PathLike | None = None,
     progress: Progress | None = None,
+    report: bool = True,
     notes: Sequence[str] = (),
     **options: Any,
 ) -> Solution:
@@ -43,8 +44,10 @@ def solve(
     config : RunConfig or path-like, optional
         Configuration or a TOML file with one.
     output : path-like, optional
-        Directory for `solution.parquet`, `ledger.parquet`, `solution.pos` and `run.json`.
+        Directory for `solution.parquet`, `ledger.parquet`, `solution.pos`, `run.json` and `report.html`.
     progress : callable, optional
+    report : bool
+        Write `report.html` with the others.
     notes : sequence of str
         To stand in ``run.json`` before what the run itself has to say.
     **options
@@ -79,9 +82,20 @@ def solve(
         solution = replace(solution, provenance={**solution.provenance, "notes": said})
     if output is not None:
         say("writing", 0.95)
-        write_results(solution, output)
+        write_results(solution, output, page_of(solution) if report else None)
     say("done", 1.0)
     return solution
+
+
+def page_of(solution: Solution, truth: Truth | None = None) -> Callable[[], bytes]:
+    """What makes the report of a solution, when called; nothing is loaded before."""
+
+    def make() -> bytes:
+        from starwise.report.html import run_page
+
+        return run_page(solution, truth)
+
+    return make
 
 
 def _solve(inputs: Inputs, config: RunConfig, say: Progress, records: "Future[list[dict[str, Any]]]") -> Solution:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from starwise import __version__
-from starwise.api import PathLike, Progress, _check, _ephemeris, _input_records, _problem, _station
+from starwise.api import PathLike, Progress, _check, _ephemeris, _input_records, _problem, _station, page_of
 from starwise.checked import merged, nested, read_toml, with_file, with_line
 from starwise.config import RunConfig
 from starwise.config_inertial import InertialConfig
@@ -32,6 +32,7 @@ def solve_inertial(
     options: Mapping[str, Any] | None = None,
     output: PathLike | None = None,
     progress: Progress | None = None,
+    report: bool = True,
 ) -> Solution:
     """Position, velocity, attitude and sensor biases out of inertial readings and fixes or satellites.
 
@@ -53,6 +54,8 @@ def solve_inertial(
     output : path-like, optional
         Directory for the results, as `starwise.api.solve`.
     progress : callable, optional
+    report : bool
+        Write ``report.html``, too.
 
     Returns
     -------
@@ -105,7 +108,7 @@ def solve_inertial(
     solution = replace(solution, provenance=provenance)
     if output is not None:
         say("writing", 0.95)
-        write_results(solution, output)
+        write_results(solution, output, page_of(solution) if report else None)
     say("done", 1.0)
     return solution
 

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from starwise.terminal import Json, Progress, show, show_json
+from starwise.terminal import Json, NoReport, Progress, show, show_json
 
 
 def register(app: typer.Typer) -> None:
@@ -38,6 +38,7 @@ def fuse(
     tolerance: Annotated[
         float | None, typer.Option(metavar="S", help="Fixes closer in time are one epoch's; default 0.005.")
     ] = None,
+    no_report: NoReport = False,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
@@ -54,7 +55,7 @@ def fuse(
     }
     config = FuseConfig.from_dict({key: value for key, value in named.items() if value is not None})
     with Progress(quiet or as_json, quiet) as progress:
-        solution = fuse_files(files, config, output, geoid, progress)
+        solution = fuse_files(files, config, output, geoid, progress, not no_report)
     if as_json:
         where = {} if output is None else {"directory": str(output)}
         show_json({**solution.provenance, **where})

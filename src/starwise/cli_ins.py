@@ -22,6 +22,7 @@ def solve_imu(
     output: Path,
     as_json: bool,
     quiet: bool,
+    report: bool = True,
 ) -> None:
     """Inertial navigation with satellites or fixes; arguments as the options of ``solve``.
 
@@ -42,7 +43,7 @@ def solve_imu(
     with Progress(quiet or as_json, quiet) as progress:
         solution = solve_inertial(
             *files, imu=imu, imu_config=imu_config, fixes=fixes, config=config, options=options, output=output,
-            progress=progress,
+            progress=progress, report=report,
         )  # fmt: skip
     if as_json:
         show_json({**solution.provenance, "directory": str(output)})

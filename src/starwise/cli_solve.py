@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from starwise.errors import StarwiseError
-from starwise.terminal import Json, Progress, read_settings, show, show_json
+from starwise.terminal import Json, NoReport, Progress, read_settings, show, show_json
 
 
 def register(app: typer.Typer) -> None:
@@ -101,6 +101,7 @@ def solve(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Any key of the configuration, like process.model=singer."),
     ] = None,
+    no_report: NoReport = False,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
@@ -139,7 +140,7 @@ def solve(
         from starwise.cli_ins import solve_imu
 
         given = [*(files or []), *(path for path in (ephemeris, clock) if path is not None)]
-        solve_imu(given, imu, imu_config, fixes, options, config, output, as_json, quiet)
+        solve_imu(given, imu, imu_config, fixes, options, config, output, as_json, quiet, not no_report)
         return
     if not files:
         raise StarwiseError("no files to solve", wanted="RINEX observations and navigation files")
@@ -147,8 +148,9 @@ def solve(
     chosen = load_config(config, options)
     with Progress(quiet or as_json, quiet) as progress:
         solution = api.solve(
-            *files, ephemeris=ephemeris, clock=clock, config=chosen, output=output, progress=progress, notes=notes
-        )
+            *files, ephemeris=ephemeris, clock=clock, config=chosen, output=output, progress=progress, notes=notes,
+            report=not no_report,
+        )  # fmt: skip
     if as_json:
         show_json({**solution.provenance, "directory": str(output)})
     elif not quiet:

@@ -10,6 +10,7 @@ import typer
 from starwise.errors import StarwiseError
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+NoReport = Annotated[bool, typer.Option("--no-report", help="Leave out report.html.")]
 
 
 class Progress:

@@ -31,6 +31,10 @@ LEDGER: Final = "ledger.parquet"
 POS: Final = "solution.pos"
 RUN: Final = "run.json"
 RESULT_FILES: Final = (SOLUTION, LEDGER, POS, RUN)
+REPORT: Final = "report.html"
+"""Beside them, where a report is asked for."""
+ASSESSMENT: Final = "assess.json"
+"""What `starwise assess` found on a result; of no use beside another."""
 
 _COMPRESSION: Final = "zstd"
 _LEVEL: Final = 1  # as fast as lz4 on a ledger of a day and a quarter smaller; level 3 takes half as long again
@@ -40,11 +44,21 @@ _PAIRS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _DOPS: Final = ("gdop", "pdop", "hdop", "vdop")
 
 
-def write_results(solution: Solution, directory: str | Path) -> dict[str, Path]:
-    """Write the four files of a result into a directory, all or none of the new ones.
+def write_results(
+    solution: Solution, directory: str | Path, report: Callable[[], bytes] | None = None
+) -> dict[str, Path]:
+    """Write the files of a result into a directory, all or none of the new ones.
 
     The files are complete under temporary names before the first takes its place; ``run.json`` says ``"complete":
-    false`` while they do. Files of the same names that this program did not write are not overwritten.
+    false`` while they do. Files of the same names that this program did not write are not overwritten. A report and
+    an assessment of the result that was there before are removed with it.
+
+    Parameters
+    ----------
+    solution : Solution
+    directory : path-like
+    report : callable, optional
+        Makes ``report.html``, written as a fifth file.
 
     Returns
     -------
@@ -58,17 +72,24 @@ def write_results(solution: Solution, directory: str | Path) -> dict[str, Path]:
     """
     folder = Path(directory)
     prepare_directory(folder)
+    stale = [folder / name for name in (REPORT, ASSESSMENT)] if _is_ours(folder) else []
     writers: dict[str, Callable[[Path], None]] = {
         SOLUTION: lambda path: _write_parquet(solution_table(solution), path),
         LEDGER: lambda path: _write_parquet(ledger_table(solution.ledger), path),
         POS: lambda path: _write_bytes(write_pos(solution, program=_program(solution)), path),
-        RUN: lambda path: _write_bytes(_json(_run_record(solution, complete=True)), path),
+        RUN: lambda path: _write_bytes(_json(_run_record(solution, names, complete=True)), path),
     }
+    if report is not None:
+        writers[REPORT] = lambda path: _write_bytes(report(), path)
+    names = list(writers)
+    order = [name for name in (LEDGER, REPORT, POS, SOLUTION, RUN) if name in writers]
     temporary = {name: folder / f".{name}.{os.getpid()}.tmp" for name in writers}
     try:
         with ThreadPoolExecutor(2) as pool:  # Parquet is encoded while the text is formatted
-            list(pool.map(lambda name: writers[name](temporary[name]), (LEDGER, POS, SOLUTION, RUN)))
-        _write_bytes(_json(_run_record(solution, complete=False)), folder / RUN)
+            list(pool.map(lambda name: writers[name](temporary[name]), order))
+        _write_bytes(_json(_run_record(solution, names, complete=False)), folder / RUN)
+        for path in stale:
+            path.unlink(missing_ok=True)
         for name in writers:
             os.replace(temporary[name], folder / name)
     except OSError as error:
@@ -97,7 +118,7 @@ def prepare_directory(directory: str | Path) -> None:
         raise StarwiseError(f"cannot be made ({error.strerror})", file=folder) from None
     if not os.access(folder, os.W_OK | os.X_OK):
         raise StarwiseError("the output directory is not writable", file=folder)
-    present = [name for name in RESULT_FILES if (folder / name).exists()]
+    present = [name for name in (*RESULT_FILES, REPORT) if (folder / name).exists()]
     if present and not _is_ours(folder):
         raise StarwiseError(
             f"holds a {present[0]} that starwise did not write",
@@ -117,8 +138,8 @@ def _program(solution: Solution) -> str:
     return f"starwise {solution.provenance.get('starwise', '')}".strip()
 
 
-def _run_record(solution: Solution, *, complete: bool) -> dict[str, Any]:
-    return {"starwise": "?", **solution.provenance, "complete": complete, "files": list(RESULT_FILES)}
+def _run_record(solution: Solution, files: list[str], *, complete: bool) -> dict[str, Any]:
+    return {"starwise": "?", **solution.provenance, "complete": complete, "files": files}
 
 
 def _json(record: dict[str, Any]) -> bytes:

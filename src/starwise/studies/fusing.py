@@ -62,6 +62,7 @@ def fuse_files(
     output: str | Path | None = None,
     geoid_m: float | None = None,
     progress: Progress | None = None,
+    report: bool = True,
 ) -> Solution:
     """Fused solution of position files of several receivers, also written to a folder.
 
@@ -71,9 +72,11 @@ def fuse_files(
         One per receiver, two or more; see `read_receiver`.
     config : FuseConfig, optional
     output : path-like, optional
-        Folder for ``solution.parquet``, ``ledger.parquet``, ``solution.pos`` and ``run.json``.
+        Folder for ``solution.parquet``, ``ledger.parquet``, ``solution.pos``, ``run.json`` and ``report.html``.
     geoid_m : float, optional
     progress : callable, optional
+    report : bool
+        Write ``report.html``, too.
 
     Raises
     ------
@@ -108,7 +111,9 @@ def fuse_files(
     solution = replace(solution, provenance=provenance)
     if output is not None:
         say("writing", 0.9)
-        write_results(solution, output)
+        from starwise.report.html import run_page
+
+        write_results(solution, output, (lambda: run_page(solution)) if report else None)
     say("done", 1.0)
     return solution
 

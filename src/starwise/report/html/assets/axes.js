@@ -34,6 +34,12 @@ function timeAxis(more) {
     { dtickrange: [null, 1000], value: "%H:%M:%S.%L" }, { dtickrange: [1000, 60000], value: "%H:%M:%S" },
     { dtickrange: [60000, 86400000], value: "%H:%M" }, { dtickrange: [86400000, null], value: "%m-%d" }] }, more || {}));
 }
+// ticks of a logarithmic axis in plain numbers
+function logTicks(low, high) {
+  const tickvals = [];
+  for (let d = Math.floor(low); d <= Math.ceil(high); d++) for (const m of high - low > 3 ? [1] : [1, 2, 5]) tickvals.push(+(m * Math.pow(10, d)).toPrecision(1));
+  return { type: "log", range: [low, high], tickvals, ticktext: tickvals.map(String) };
+}
 const timeRange = () => {
   if (state.range) return state.range.slice();
   const a = times[0], b = times[count - 1], edge = Math.max((b - a) * 0.005, E.interval_ms * 0.5);

@@ -36,7 +36,7 @@ function value(list, name, text) {
   if (text === null) return;
   list.append(el("dt", {}, name), el("dd", {}, text));
 }
-const trio = (a, i, digits) => a.map((s) => num(s[i], digits)).join("  ");
+const trio = (a, i, decimals) => a.map((s) => (finite(s[i]) ? s[i].toFixed(Math.abs(s[i]) < 1000 ? decimals : 1).replace("-", "−") : "–")).join("  ");
 function updateInspector() {
   if (!box || !E || !count) return;
   const i = state.i, full = E.index[i], flag = E.statuses[E.status[i]];
@@ -48,11 +48,11 @@ function updateInspector() {
   list.replaceChildren();
   value(list, "status", flag === "none" ? "no position" : flag);
   list.lastChild.className = "status-" + flag;
-  if (E.enu) value(list, "E N U, m", trio(E.enu, i, 4));
-  if (E.sigma) value(list, "1σ, m", trio(E.sigma, i, 3));
-  if (T) value(list, "error, m", trio(T.errors, i, 3));
+  if (E.enu) value(list, "E N U, m", trio(E.enu, i, 2));
+  if (E.sigma) value(list, "1σ, m", trio(E.sigma, i, 2));
+  if (T) value(list, "error, m", trio(T.errors, i, 2));
   if (E.h) value(list, "height, m", finite(E.h[i]) ? E.h[i].toFixed(3) : "–");
-  if (E.vel) value(list, "velocity, m/s", trio(E.vel, i, 3));
+  if (E.vel) value(list, "velocity, m/s", trio(E.vel, i, 2));
   if (E.extra.yaw_deg) value(list, "roll pitch yaw", ["roll_deg", "pitch_deg", "yaw_deg"].map((n) => num(E.extra[n][i], 4)).join("  "));
   if (E.dop) value(list, "PDOP", num(E.dop[1][i]));
   if (E.nis && E.dof[i]) value(list, "NIS / dof", `${num(E.nis[i] / E.dof[i])} (${E.dof[i]})`);

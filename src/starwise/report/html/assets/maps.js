@@ -28,7 +28,7 @@ function angle(v, step, plus, minus) {
   if (step >= 1) return `${Math.round(a)}°${hemi}`;
   if (step >= 1 / 60 - 1e-12) return `${whole}°${pad(Math.round(min), 2)}′${hemi}`;
   const d = Math.max(0, -Math.floor(Math.log10(step * 3600) + 1e-9));
-  return `${whole}°${pad(m, 2)}′${Math.max(0, sec).toFixed(d)}″${hemi}`;
+  return `${whole}°${pad(m, 2)}′${Math.max(0, sec).toFixed(d).padStart(d ? d + 3 : 2, "0")}″${hemi}`;
 }
 // Meridians and parallels of the visible part, true to first order about the origin; scale bar
 function graticule(p, under) {
@@ -80,8 +80,10 @@ function trackRange(rest) {
   let [a, b] = robust(xs, 0.004, 0.996, 0.2), [c, d] = robust(ys, 0.004, 0.996, 0.2);
   if (T && T.point) { a = Math.min(a, T.e[0]); b = Math.max(b, T.e[0]); c = Math.min(c, T.n[0]); d = Math.max(d, T.n[0]); }
   if (rest && E.cov_en) {
-    const last = ellipse(Math.max(0, count - 1), K95);
-    if (last) { a = Math.min(a, ...last.x); b = Math.max(b, ...last.x); c = Math.min(c, ...last.y); d = Math.max(d, ...last.y); }
+    for (const at of [count - 1, count >> 1, count >> 2]) {
+      const last = ellipse(Math.max(0, at), K95);
+      if (!last) continue; a = Math.min(a, ...last.x); b = Math.max(b, ...last.x); c = Math.min(c, ...last.y); d = Math.max(d, ...last.y);
+    }
   }
   const grow = 0.06 * Math.max(b - a, d - c);
   return [[a - grow, b + grow], [c - grow, d + grow]];
@@ -108,7 +110,7 @@ const trackSpec = () => ({
       const x = [], y = [];
       for (let i = 0; i < count; i++) if (E.statuses[E.status[i]] === name) { x.push(E.enu[0][i]); y.push(E.enu[1][i]); }
       if (x.length) data.push({ type: "scatter", mode: "markers", x, y, name, hoverinfo: "skip",
-        marker: { size: 7, symbol: { suspect: "x-thin", coasted: "circle-open", reset: "diamond-open" }[name], color: css("--mark-" + name), line: { color: css("--mark-" + name), width: 1.6 } } });
+        marker: { size: name === "coasted" ? 5 : 7, symbol: { suspect: "x-thin", coasted: "circle-open", reset: "diamond-open" }[name], color: css("--mark-" + name), line: { color: css("--mark-" + name), width: name === "coasted" ? 1 : 1.6 } } });
     }
     if (T && T.point) data.push({ type: "scatter", mode: "markers", x: [T.e[0]], y: [T.n[0]], name: "truth", hoverinfo: "skip", marker: { size: 16, symbol: "cross-thin", color: css("--ink"), line: { color: css("--ink"), width: 2 } } });
     const size = p.size(), m = { l: 56, r: 12, t: 22, b: 30 }, w = size.width - m.l - m.r, h = size.height - m.t - m.b;
@@ -163,10 +165,17 @@ function skyPoints() {
   }
   return (skyPoints.made = out);
 }
+// end of the colour scale: round, the residuals of used measurements but for the largest hundredth
+function skyLimit() {
+  if (skyLimit.made) return skyLimit.made;
+  const all = skyPoints().filter((q) => q.kind === "used" && finite(vn(q.k))).map((q) => Math.abs(vn(q.k))).sort((a, b) => a - b);
+  const most = all.length ? all[Math.floor(0.97 * (all.length - 1))] : 3;
+  return (skyLimit.made = [0.2, 0.5, 1, 2, 3].find((v) => v >= most) || 3);
+}
 const DIVERGING = () => [[0, css("--div-low")], [0.5, css("--div-mid")], [1, css("--div-high")]];
 const SEQUENTIAL = () => [[0, css("--seq-0")], [0.5, css("--seq-1")], [1, css("--seq-2")]];
 const skySpec = () => ({
-  height: (w) => Math.min(Math.max(w, 290), 470), dims: true,
+  height: (w) => Math.min(Math.max(w + 20, 300), 450), dims: true,
   build(p) {
     const pts = skyPoints(), x = [], y = [], c = [], mode = state.sky;
     for (const q of pts) {
@@ -187,7 +196,7 @@ const skySpec = () => ({
         break;
       }
     }
-    const scale = mode === "kind" ? {} : mode === "vn" ? { colorscale: DIVERGING(), cmin: -3, cmax: 3 } : { colorscale: SEQUENTIAL(), cmin: 20, cmax: 52 };
+    const scale = mode === "kind" ? {} : mode === "vn" ? { colorscale: DIVERGING(), cmin: -skyLimit(), cmax: skyLimit() } : { colorscale: SEQUENTIAL(), cmin: 20, cmax: 52 };
     const bar = mode === "kind" ? {} : { showscale: true, colorbar: { orientation: "h", thickness: 7, len: 0.5, y: -0.015, yanchor: "top", x: 0.5, outlinewidth: 0, tickfont: { size: 10, color: css("--muted") },
       nticks: 5, title: { text: mode === "vn" ? D.word + " / σ" : "C/N0, dBHz", font: { size: 10, color: css("--muted") }, side: "top" } } };
     data.push({ type: "scatter", mode: "markers", x, y, hoverinfo: "skip", marker: Object.assign({ size: 5.5, color: c.map((v) => (v === null ? (mode === "kind" ? css("--muted") : mode === "vn" ? 0 : 20) : v)), opacity: c.map((v) => (v === null ? 0.25 : 0.95)), line: { width: 0 } }, scale, bar) });

@@ -41,7 +41,7 @@ const residualsSpec = () => ({
       all.push(line.y);
     }
     const data = Object.entries(by).map(([letter, t]) => ({ type: "scatter", mode: "lines+markers", x: t.x, y: t.y, name: letter, hoverinfo: "skip",
-      line: { color: fade(colour.system(letter), 0.45), width: 0.9 }, marker: { size: 1.8, color: fade(colour.system(letter), 0.7) } }));
+      line: { color: fade(colour.system(letter), 0.3), width: 0.8 }, marker: { size: 2, color: fade(colour.system(letter), 0.75) } }));
     if (data.reduce((n, d) => n + d.x.length, 0) > 12000) data.forEach((d) => { d.mode = "lines"; });
     const layout = base({ shapes: flagShapes() });
     layout.margin.t = 22;
@@ -128,7 +128,7 @@ const nisSpec = () => ({
     const layout = base({ shapes: flagShapes() });
     layout.margin.t = 22;
     layout.xaxis = timeAxis({ range: timeRange() });
-    layout.yaxis = axis(log ? { type: "log", range: [Math.log10(Math.max(1e-3, Math.min(least, 0.8))) - 0.15, Math.log10(Math.max(most, 1.3)) + 0.15], nticks: 6 } : { range: [0, Math.max(1.4, most * 1.1)], nticks: 6 });
+    layout.yaxis = axis(log ? logTicks(Math.log10(Math.max(1e-3, Math.min(least, 0.8))) - 0.15, Math.log10(Math.max(most, 1.3)) + 0.15) : { range: [0, Math.max(1.4, most * 1.1)], nticks: 6 });
     layout.shapes.push({ type: "line", xref: "paper", x0: 0, x1: 1, y0: 1, y1: 1, line: { color: css("--axis"), width: 1, dash: "dot" } });
     layout.annotations.push(label(`<b>NIS / dof</b>   whole run ${num(NIS.all.mean)}, 95 % bounds ${num(NIS.all.low, 4)}–${num(NIS.all.high, 4)}`, 1));
     return { data, layout };

@@ -79,8 +79,8 @@ function strips(make, options) {
       const tall = (1 - gap * (n - 1)) / n;
       list.forEach((row, k) => {
         const id = k ? String(k + 1) : "", top = 1 - k * (tall + gap);
-        layout["yaxis" + id] = axis({ domain: [Math.max(0, top - tall), top], range: row.range, type: row.type, nticks: 5, anchor: "x", ticksuffix: "",
-          zeroline: !!row.zero, zerolinecolor: css("--axis"), zerolinewidth: 1, rangemode: row.rangemode });
+        layout["yaxis" + id] = axis({ domain: [Math.max(0, top - tall), top], range: row.range, nticks: 5, anchor: "x", ticksuffix: "",
+          zeroline: !!row.zero, zerolinecolor: css("--axis"), zerolinewidth: 1, rangemode: row.rangemode, ...(row.ticks || {}) });
         const names = row.series.filter((s) => s.name).map((s) => `<span style="color:${s.colour}">${s.name}</span>`);
         layout.annotations.push(label(`<b>${row.title}</b>${row.unit ? ", " + row.unit : ""}${names.length > 1 ? "   " + names.join("  ") : ""}`, top));
         for (const s of row.series) {
@@ -125,9 +125,10 @@ function motionSpec() {
   const su = E.sigma && E.sigma[2];
   return strips(() => {
     const near = (y, s) => robust(s ? [about(y, s, -1), about(y, s, 1), y] : [y], 0.01, 0.99, 0.2);
+    const moving = E.vel && E.vel.some((s) => s.some((v) => Math.abs(v) > 1e-6));
     const rows = [{ title: "height", unit: "m", digits: 7, range: near(E.h, su), series: [
       { name: "height", y: E.h, colour: colour.u(), bands: su ? [[about(E.h, su, -1), about(E.h, su, 1), fade(colour.u(), 0.16)]] : [] }] }];
-    if (E.vel) {
+    if (moving) {
       const speed = Float64Array.from(E.vel[0], (v, i) => Math.hypot(v, E.vel[1][i]));
       rows.push({ title: "speed", unit: "m/s", range: robust([speed], 0, 0.995, 0.05), series: [{ name: "speed", y: speed, colour: colour.ink() }] });
       rows.push({ title: "velocity", unit: "m/s", zero: true, range: robust(E.vel, 0.002, 0.998, 0.05),
@@ -135,7 +136,7 @@ function motionSpec() {
           bands: E.sigma_vel ? [[about(E.vel[k], E.sigma_vel[k], -1), about(E.vel[k], E.sigma_vel[k], 1), fade(colour[a](), 0.12)]] : [] })) });
     }
     return rows;
-  }, { rows: E.vel ? 3 : 1, row: E.vel ? 137 : 400 });
+  }, E.vel && E.vel.some((s) => s.some((v) => Math.abs(v) > 1e-6)) ? { rows: 3, row: 137 } : { rows: 1, row: 411 });
 }
 function errorsSpec() {
   return strips(() => AXES.map((a, k) => {
@@ -156,7 +157,7 @@ function geometrySpec() {
       series: [{ name: "used", y: Float64Array.from(E.n_used), colour: colour.accent(), shape: "hv" }] }];
     if (E.dop) {
       const log = robust(E.dop, 0, 0.995)[1] > 12;
-      rows.push({ title: "dilution of precision", unit: "", type: log ? "log" : undefined, range: log ? undefined : [0, robust(E.dop, 0, 0.995, 1)[1]],
+      rows.push({ title: "dilution of precision", unit: "", type: log ? "log" : undefined, ticks: log ? logTicks(...robust(E.dop.map((d) => Float64Array.from(d, Math.log10)), 0, 1)) : null, range: log ? undefined : [0, robust(E.dop, 0, 0.995, 1)[1]],
         series: [["GDOP", colour.muted()], ["PDOP", colour.ink()], ["HDOP", colour.e()], ["VDOP", colour.u()]].map(([name, c], k) => ({ name, y: E.dop[k], colour: c })) });
     }
     return rows;
