@@ -41,7 +41,7 @@ DONE: list[int] = []
 @pytest.fixture(autouse=True)
 def _fresh():
     DONE.clear()
-    montecarlo._prepared.clear()
+    montecarlo._kept.__dict__.clear()
 
 
 def test_runs_in_order_and_in_one_file(tmp_path):
@@ -90,7 +90,7 @@ def test_killed_in_the_middle(tmp_path):
     folder = tmp_path / "parts" / task_key(Task())
     (folder / ".montecarlo-000003-000006.parquet.123").write_bytes(b"PAR1")
     assert not (tmp_path / "montecarlo.parquet").exists()
-    montecarlo._prepared.clear()
+    montecarlo._kept.__dict__.clear()
     DONE.clear()
     table = run_many(Task(), 6, tmp_path, workers=1, block=3)
     assert DONE == [3, 4, 5]

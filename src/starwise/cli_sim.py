@@ -13,6 +13,14 @@ Output = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Dir
 Runs = Annotated[int, typer.Option("--runs", metavar="N", min=1, help="Monte Carlo runs; they are resumed.")]
 Seed = Annotated[int | None, typer.Option("--seed", metavar="S", help="In place of the scenario's.")]
 PAPERS = ("s3ekf", "rdss_sins", "adaptive_federated", "stability")
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler",
+        metavar="tcp://..|local",
+        help="Runs by workers of a Dask cluster; local: of one on this machine.",
+    ),
+]
 Workers = Annotated[int | None, typer.Option("--workers", metavar="N", min=1, help="Processes; default: all cores.")]
 
 
@@ -33,6 +41,7 @@ def simulate(
         str, typer.Option(metavar="lsq|ekf|s3ekf|all", help="With --runs: estimators whose errors are collected.")
     ] = "s3ekf",
     workers: Workers = None,
+    scheduler: Scheduler = None,
     as_json: Json = False,
 ) -> None:
     """RINEX files, inertial data and the truth out of a scenario.
@@ -46,7 +55,14 @@ def simulate(
     began = time.perf_counter()
     with Progress(as_json) as progress:
         record = simulate_files(
-            scenario, output, runs=runs, seed=seed, methods=methods, workers=workers, progress=progress
+            scenario,
+            output,
+            runs=runs,
+            seed=seed,
+            methods=methods,
+            workers=workers,
+            progress=progress,
+            scheduler=scheduler,
         )
     if as_json:
         show_json(record)
@@ -81,6 +97,7 @@ def reproduce(
         typer.Option(metavar="DIR", help="Folder of real measurements; default ../shared/data where it exists."),
     ] = None,
     workers: Workers = None,
+    scheduler: Scheduler = None,
     as_json: Json = False,
 ) -> None:
     """Results of a paper, beside its own figures: tables, figures and a report."""
@@ -89,18 +106,18 @@ def reproduce(
     if data is not None and not data.is_dir():
         raise StarwiseError("no such folder", file=data)
     if paper == "rdss_sins":
-        _rdss_sins(output, runs, seed, workers, as_json)
+        _rdss_sins(output, runs, seed, workers, scheduler, as_json)
         return
     if paper == "adaptive_federated":
-        _adaptive_federated(output, runs, seed, workers, as_json)
+        _adaptive_federated(output, runs, seed, workers, scheduler, as_json)
         return
     if paper == "stability":
-        _stability(output, runs, seed, workers, as_json)
+        _stability(output, runs, seed, workers, scheduler, as_json)
         return
     from starwise.studies.s3ekf import reproduce_s3ekf
 
     with Progress(as_json) as progress:
-        result = reproduce_s3ekf(output, runs, seed, data, workers, progress)
+        result = reproduce_s3ekf(output, runs, seed, data, workers, progress, scheduler)
     if as_json:
         show_json(result)
         return
@@ -109,39 +126,45 @@ def reproduce(
     show(short_text(result) + f"\nThe whole report: {output / 'report.md'}")
 
 
-def _adaptive_federated(output: Path, runs: int, seed: int | None, workers: int | None, as_json: bool) -> None:
+def _adaptive_federated(
+    output: Path, runs: int, seed: int | None, workers: int | None, scheduler: str | None, as_json: bool
+) -> None:
     """Adaptive federated filter (Sun, Wu, Zhao, Liu 2009)."""
     from starwise.studies.adaptive_federated import reproduce_adaptive_federated
     from starwise.studies.adaptive_federated_report import short_text
 
     with Progress(as_json) as progress:
-        result = reproduce_adaptive_federated(output, runs, seed, workers, progress)
+        result = reproduce_adaptive_federated(output, runs, seed, workers, progress, scheduler)
     if as_json:
         show_json(result)
     else:
         show(short_text(result) + f"\nThe whole report: {output / 'report.md'}")
 
 
-def _stability(output: Path, runs: int, seed: int | None, workers: int | None, as_json: bool) -> None:
+def _stability(
+    output: Path, runs: int, seed: int | None, workers: int | None, scheduler: str | None, as_json: bool
+) -> None:
     """Controllability, observability and stability of a filter (Gao, Tan 2007)."""
     from starwise.studies.stability import reproduce_stability
     from starwise.studies.stability_report import short_text
 
     with Progress(as_json) as progress:
-        result = reproduce_stability(output, runs, seed, workers, progress)
+        result = reproduce_stability(output, runs, seed, workers, progress, scheduler)
     if as_json:
         show_json(result)
     else:
         show(short_text(result) + f"\nThe whole report: {output / 'report.md'}")
 
 
-def _rdss_sins(output: Path, runs: int, seed: int | None, workers: int | None, as_json: bool) -> None:
+def _rdss_sins(
+    output: Path, runs: int, seed: int | None, workers: int | None, scheduler: str | None, as_json: bool
+) -> None:
     """Optimal prediction of late fixes (Lin, Meng, He)."""
     from starwise.studies.rdss_sins import reproduce_rdss_sins
     from starwise.studies.rdss_sins_report import short_text
 
     with Progress(as_json) as progress:
-        result = reproduce_rdss_sins(output, runs, seed, workers, progress)
+        result = reproduce_rdss_sins(output, runs, seed, workers, progress, scheduler)
     if as_json:
         show_json(result)
     else:

@@ -100,7 +100,7 @@ def sealed(place: str) -> dict[str, Any] | None:
     seal = store.read_json(f"{place}/{SEAL}")
     if seal is None or not isinstance(seal.get("row"), dict) or not isinstance(seal.get("files"), dict):
         return None
-    if store.sizes(RESULT_FILES, place) != seal["files"]:
+    if store.sizes(tuple(seal["files"]), place) != seal["files"]:
         return None
     run = store.read_json(f"{place}/{RUN}")
     return seal if run is not None and run.get("complete") is True else None

@@ -48,6 +48,7 @@ def reproduce_adaptive_federated(
     seed: int | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
+    scheduler: str | None = None,
 ) -> dict[str, Any]:
     """All results of the paper and beyond, also written to a folder.
 
@@ -63,6 +64,8 @@ def reproduce_adaptive_federated(
     workers : int, optional
         Processes; default: all cores.
     progress : callable, optional
+    scheduler : str, optional
+        Dask scheduler for the runs; see `starwise.studies.montecarlo.run_many`.
 
     Returns
     -------
@@ -84,7 +87,7 @@ def reproduce_adaptive_federated(
     base = Path(output)
     say = progress or (lambda _what, _fraction: None)
     table = run_many(
-        FederatedTask(chosen), runs, base, name="runs", workers=workers,
+        FederatedTask(chosen), runs, base, name="runs", workers=workers, scheduler=scheduler,
         progress=lambda _, f: say("Monte Carlo", 0.7 * f),
     )  # fmt: skip
     say("weak points", 0.7)

@@ -8,14 +8,16 @@ the task with all its numbers, and the program's sources. The blocks in order ar
 import hashlib
 import json
 import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from functools import lru_cache
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from starwise.errors import StarwiseError
+from starwise.spread import AHEAD, sources_hash, spread
 
 if TYPE_CHECKING:
     import polars as pl
@@ -27,8 +29,6 @@ Block = tuple[int, int]
 """First run, and the one after the last."""
 BLOCK: Final = 25
 """Runs in a block: a tenth of a second to a second of work."""
-AHEAD: Final = 3
-"""Blocks that wait for each other process, so that none is idle while this one works on its own."""
 
 
 class Task(Protocol):
@@ -50,6 +50,7 @@ def run_many(
     *,
     name: str = "montecarlo",
     workers: int | None = None,
+    scheduler: str | None = None,
     block: int = BLOCK,
     progress: Progress | None = None,
 ) -> "pl.DataFrame":
@@ -65,6 +66,8 @@ def run_many(
         Of the result file.
     workers : int, optional
         Processes; 1: this one. Default: one for every core, and no more than there are blocks to do.
+    scheduler : str, optional
+        Dask scheduler whose workers do the runs, or ``local``; see `starwise.spread.spread`. The numbers are the same.
     block : int
         Runs in a block.
     progress : callable, optional
@@ -90,7 +93,10 @@ def run_many(
     missing = [b for b in blocks if not _whole(files[b])]
     done = len(blocks) - len(missing)
     say("runs", done / len(blocks))
-    for _ in _finish(task, missing, files, workers):
+    by = (
+        _finish(task, missing, files, workers) if scheduler is None else _send(task, missing, files, workers, scheduler)
+    )
+    for _ in by:
         done += 1
         say("runs", done / len(blocks))
     table = pl.concat([pl.read_parquet(files[b]) for b in blocks], how="vertical")
@@ -106,12 +112,10 @@ def _finish(task: Task, missing: Sequence[Block], files: Mapping[Block, Path], w
         while pending:
             yield _do_here(task, pending.popleft(), files)
         return
-    import multiprocessing
+    from starwise.spread.processes import process_pool
 
-    # Fresh processes: a fork would inherit the locks of threads that it does not have. This process works, too, from
-    # the first moment on, while the others are still being started.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(count - 1, mp_context=context, initializer=_leave_with_parent) as pool:
+    # This process works, too, from the first moment on, while the others are still being started.
+    with process_pool(count - 1) as pool:
         waiting: dict[Future[None], Block] = {}
         try:
             while pending or waiting:
@@ -133,40 +137,58 @@ def _finish(task: Task, missing: Sequence[Block], files: Mapping[Block, Path], w
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _leave_with_parent() -> None:
-    """End this process when the one that started it is gone: a killed run leaves nobody waiting behind."""
-    import multiprocessing
-    import threading
-
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
-
-    def watch() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
 def _do_here(task: Task, block: Block, files: Mapping[Block, Path]) -> Block:
     _do_block(task, block, str(files[block]))
     return block
 
 
-_prepared: dict[str, Callable[[int], Sequence[Row]]] = {}
+def _send(
+    task: Task, missing: Sequence[Block], files: Mapping[Block, Path], workers: int | None, scheduler: str
+) -> Iterator[Block]:
+    """Have the missing blocks done by a cluster, whose workers need not see the folder; yields after each."""
+    if not missing:
+        return
+    key = task_key(task)
+    items = ((task, key, block) for block in missing)
+    for (_, _, block), content in spread(_sent_block, items, lost=_lost, workers=workers, scheduler=scheduler):
+        _write_beside(files[block], partial(Path.write_bytes, data=content))
+        yield block
+
+
+def _sent_block(item: tuple[Task, str, Block]) -> bytes:
+    """Rows of a block as Parquet, on a worker that must find the same task in the same program."""
+    from io import BytesIO
+
+    task, key, block = item
+    if task_key(task) != key:
+        raise StarwiseError("a worker has another version of starwise, or other files", wanted="the same everywhere")
+    content = BytesIO()
+    _rows(task, block).write_parquet(content)
+    return content.getvalue()
+
+
+def _lost(item: tuple[Task, str, Block], why: str) -> bytes:
+    raise StarwiseError(f"runs {item[2][0]} to {item[2][1] - 1} cannot be done: {why}")
+
+
+_kept = threading.local()
+"""Of this thread: the last task, prepared. A worker of a cluster may have several threads."""
 
 
 def _do_block(task: Task, block: Block, file: str) -> None:
     """Rows of a block into its file."""
+    write_whole(_rows(task, block), Path(file))
+
+
+def _rows(task: Task, block: Block) -> "pl.DataFrame":
     import polars as pl
 
     key = task_key(task)
-    if key not in _prepared:
-        _prepared.clear()
-        _prepared[key] = task.prepare()
-    rows = [row for number in range(*block) for row in _prepared[key](number)]
-    write_whole(pl.DataFrame(rows, infer_schema_length=None), Path(file))
+    if getattr(_kept, "key", None) != key:
+        _kept.key, _kept.rows = None, None  # not both in memory
+        _kept.key, _kept.rows = key, task.prepare()
+    rows = [row for number in range(*block) for row in _kept.rows(number)]
+    return pl.DataFrame(rows, infer_schema_length=None)
 
 
 def _whole(file: Path) -> bool:
@@ -190,12 +212,13 @@ def write_whole(table: "pl.DataFrame", file: Path) -> None:
     StarwiseError
         The file cannot be written.
     """
+    _write_beside(file, table.write_csv if file.suffix == ".csv" else table.write_parquet)
+
+
+def _write_beside(file: Path, write: Callable[[Path], object]) -> None:
     beside = file.with_name(f".{file.name}.{os.getpid()}")
     try:
-        if file.suffix == ".csv":
-            table.write_csv(beside)
-        else:
-            table.write_parquet(beside)
+        write(beside)
         beside.replace(file)
     except OSError as error:
         raise StarwiseError(f"cannot be written ({error})", file=file) from None
@@ -203,15 +226,5 @@ def write_whole(table: "pl.DataFrame", file: Path) -> None:
 
 def task_key(task: Task) -> str:
     """Hash of what the numbers of a task depend on."""
-    text = json.dumps({"task": task.description(), "code": _code_hash()}, sort_keys=True)
+    text = json.dumps({"task": task.description(), "code": sources_hash()}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-@lru_cache(maxsize=1)
-def _code_hash() -> str:
-    """Hash of the package's sources: results of another program are not taken for this one's."""
-    base = Path(__file__).resolve().parents[1]
-    digest = hashlib.sha256()
-    for path in sorted(base.rglob("*.py")):
-        digest.update(str(path.relative_to(base)).encode() + path.read_bytes())
-    return digest.hexdigest()

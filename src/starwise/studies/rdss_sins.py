@@ -44,6 +44,7 @@ def reproduce_rdss_sins(
     seed: int | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
+    scheduler: str | None = None,
 ) -> dict[str, Any]:
     """All results of the paper and beyond, also written to a folder.
 
@@ -57,6 +58,8 @@ def reproduce_rdss_sins(
     seed : int, optional
     workers : int, optional
     progress : callable, optional
+    scheduler : str, optional
+        Dask scheduler for the runs; see `starwise.studies.montecarlo.run_many`.
 
     Returns
     -------
@@ -79,7 +82,15 @@ def reproduce_rdss_sins(
     base, number = Path(output), SEED if seed is None else seed
     say = progress or (lambda _what, _fraction: None)
     task = SinsTask(number)
-    table = run_many(task, runs, base, workers=workers, name="runs", progress=lambda _, f: say("Monte Carlo", 0.85 * f))
+    table = run_many(
+        task,
+        runs,
+        base,
+        workers=workers,
+        scheduler=scheduler,
+        name="runs",
+        progress=lambda _, f: say("Monte Carlo", 0.85 * f),
+    )
     say("linear system", 0.85)
     groups: dict[str, list[dict[str, Any]]] = {}
     for group, name, method in table.select("group", "experiment", "method").unique(maintain_order=True).rows():

@@ -35,6 +35,7 @@ def reproduce_s3ekf(
     data: Path | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
+    scheduler: str | None = None,
 ) -> dict[str, Any]:
     """All results of the paper and beyond, also written to a folder.
 
@@ -51,6 +52,8 @@ def reproduce_s3ekf(
         Folder of real measurements.
     workers : int, optional
     progress : callable, optional
+    scheduler : str, optional
+        Dask scheduler for the runs; see `starwise.studies.montecarlo.run_many`.
 
     Returns
     -------
@@ -70,7 +73,13 @@ def reproduce_s3ekf(
     base = Path(output)
     say = progress or (lambda _what, _fraction: None)
     table = run_many(
-        PaperTask(seed), runs, base, name="runs", workers=workers, progress=lambda _, f: say("Monte Carlo", 0.6 * f)
+        PaperTask(seed),
+        runs,
+        base,
+        name="runs",
+        workers=workers,
+        scheduler=scheduler,
+        progress=lambda _, f: say("Monte Carlo", 0.6 * f),
     )
     say("other process noise", 0.6)
     others = sensitivity(seed=seed)

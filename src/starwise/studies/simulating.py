@@ -28,6 +28,7 @@ def simulate_files(
     methods: Sequence[str] = ("s3ekf",),
     workers: int | None = None,
     progress: Progress | None = None,
+    scheduler: str | None = None,
 ) -> dict[str, Any]:
     """Files of run 0 of a scenario and, with more than one run, the errors of all of them.
 
@@ -44,6 +45,8 @@ def simulate_files(
         Estimators of the Monte Carlo.
     workers : int, optional
     progress : callable, optional
+    scheduler : str, optional
+        Dask scheduler for the runs; see `starwise.studies.montecarlo.run_many`.
 
     Returns
     -------
@@ -81,7 +84,12 @@ def simulate_files(
     if runs > 1:
         task = AccuracyTask(chosen, simulation.seed, tuple(methods), natural_config(chosen))
         table = run_many(
-            task, runs, output, workers=workers, progress=lambda _, done: say("Monte Carlo", 0.3 + 0.7 * done)
+            task,
+            runs,
+            output,
+            workers=workers,
+            scheduler=scheduler,
+            progress=lambda _, done: say("Monte Carlo", 0.3 + 0.7 * done),
         )
         record["files"]["montecarlo"] = "montecarlo.parquet"
         record["montecarlo"] = [_summary(table, method) for method in methods]

@@ -55,6 +55,7 @@ def reproduce_stability(
     seed: int | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
+    scheduler: str | None = None,
 ) -> dict[str, Any]:
     """All results of the paper and beyond, also written to a folder.
 
@@ -69,6 +70,8 @@ def reproduce_stability(
         In place of 2007.
     workers : int, optional
     progress : callable, optional
+    scheduler : str, optional
+        Dask scheduler for the runs; see `starwise.studies.montecarlo.run_many`.
 
     Returns
     -------
@@ -90,7 +93,7 @@ def reproduce_stability(
     base, number, count = Path(output), SEED if seed is None else seed, min(runs, RUNS)
     say = progress or (lambda _what, _fraction: None)
     table = run_many(
-        BurstTask(number), count, base, name="bursts", block=5, workers=workers,
+        BurstTask(number), count, base, name="bursts", block=5, workers=workers, scheduler=scheduler,
         progress=lambda _, f: say("bursts", 0.6 * f),
     )  # fmt: skip
     records = burst_table(table)
