@@ -166,7 +166,8 @@ def _least_squares() -> None:
     from starwise.kernels.spp import spp_run
     from starwise.physics.broadcast import BroadcastEphemeris
 
-    config = RunConfig(method="lsq")
+    # White: least squares with coloured errors goes through the filter's loop, which the other process compiles.
+    config = RunConfig(method="lsq", error_model="white")
     model, epochs, rows, out = _nothing(config)
     spp_run(model, spp_options(config), epochs, rows, empty_epochs(0, 1), out)
     with resources.as_file(resources.files("starwise") / "demo" / "data") as data:
@@ -181,7 +182,8 @@ def _filter() -> None:
 
     from starwise.config import RunConfig
     from starwise.estimators.filter import filter_options, filter_rows
-    from starwise.kernels import colored, error_states, filter_clocks, filter_epoch, process
+    from starwise.kernels import colored, error_states, filter_clocks, filter_epoch, filter_predict, process
+    from starwise.kernels.adapt import memory_size
     from starwise.kernels.filter_state import Belief, Work, start_filter
     from starwise.models.error_model import no_errors
     from starwise.models.process import clocks_from, motion_from, process_numbers
@@ -216,6 +218,11 @@ def _filter() -> None:
     error_states.enter_satellites(errors, extra, work.order, 0, 0, slots, x, P, n)
     colored.update_colored(options, errors, rows, extra, out, 0, x, P, nk, 1, belief.at, slots, 1.0, x2, work)
     filter_clocks.count_missed(rows, 0, 0, belief, work)
+    filter_predict.advance(numbers, errors, slots, x, P, nk, 1, 1.0, -1.0, F, G, M, phi)
+    filter_predict.adapt_epoch(
+        options, numbers, errors, rows, extra, out, 0, x, P, nk, 1, belief.at, slots, 1.0, G, M,
+        np.zeros(memory_size(options.rule.window)), work,
+    )  # fmt: skip
     filter_rows(epochs, rows, model, 1, config)
 
 
