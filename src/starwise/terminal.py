@@ -1,7 +1,9 @@
 """What commands show: text, one JSON object, or a progress bar where somebody watches."""
 
 import json
+import re
 import sys
+import time
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -16,21 +18,29 @@ NoReport = Annotated[bool, typer.Option("--no-report", help="Leave out report.ht
 class Progress:
     """Progress bar on the error stream if that is a terminal, else silence.
 
-    A line there says that kernels are compiled, terminal or not, unless ``quiet``: a minute without a word looks like
-    a fault.
+    It shows the part that is done, how fast that goes (in what is counted, where the text says "120 of 1000 runs"), and
+    the time left. A line says that kernels are compiled, terminal or not, unless ``quiet``: a minute without a word
+    looks like a fault.
     """
 
     def __init__(self, silent: bool, quiet: bool = False) -> None:
         self._quiet = quiet
         self._bar: Any = None
+        self._pace = Pace()
         if not silent and sys.stderr.isatty():
             from rich.console import Console
             from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
             from rich.progress import Progress as Bar
 
-            columns = (TextColumn("{task.description:12}"), BarColumn(), TimeElapsedColumn())
+            columns = (
+                TextColumn("{task.description:12}"),
+                BarColumn(bar_width=20),
+                TextColumn("{task.fields[done]}"),
+                TimeElapsedColumn(),
+                TextColumn("{task.fields[pace]}"),
+            )
             self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
-            self._task = self._bar.add_task("", total=1.0)
+            self._task = self._bar.add_task("", total=1.0, done="", pace="")
 
     def __enter__(self) -> Callable[[str, float], None]:
         if self._bar is not None:
@@ -42,7 +52,8 @@ class Progress:
             self._bar.stop()
 
     def _say(self, what: str, fraction: float) -> None:
-        if what == "compiling" and not self._quiet:
+        compiling = what == "compiling"
+        if compiling and not self._quiet:
             from starwise.warmup import ABOUT_S
 
             line = f"starwise: compiling kernels once, about {ABOUT_S} s"
@@ -51,8 +62,53 @@ class Progress:
                 sys.stderr.flush()
             else:
                 self._bar.console.print(line, highlight=False)
-        if self._bar is not None:
-            self._bar.update(self._task, description=what, completed=fraction)
+        if self._bar is None:
+            return
+        pace = self._pace.after(what, fraction, time.monotonic())
+        self._bar.update(
+            self._task, description=what, total=None if compiling else 1.0, completed=fraction,
+            done="" if compiling else f"{100.0 * fraction:3.0f} %", pace="" if compiling else pace,
+        )  # fmt: skip
+
+
+class Pace:
+    """How fast something goes and how long it will still take, out of the fractions told so far."""
+
+    def __init__(self) -> None:
+        self._first: tuple[float, float] | None = None
+        self._counted: tuple[str, int, float] | None = None
+
+    def after(self, what: str, fraction: float, now_s: float) -> str:
+        """Rate and time left in words, like ``37 runs/s, 0:12 left``; empty in the first second.
+
+        Parameters
+        ----------
+        what : str
+            What is being done; "120 of 1000 runs" is counted.
+        fraction : float
+            Part of the whole that is done, 0..1.
+        now_s : float
+            A clock, s.
+        """
+        if what == "compiling":
+            self._first = self._counted = None  # no measure of what comes after
+            return ""
+        if self._first is None:
+            self._first = (fraction, now_s)
+        gone, done = now_s - self._first[1], fraction - self._first[0]
+        counted = re.fullmatch(r"(\d+) of \d+ (\w+)", what)
+        rate = f"{100.0 * done / gone:.0f} %/s" if gone > 0.0 else ""
+        if counted is not None:
+            number, unit = int(counted[1]), counted[2]
+            if self._counted is None or self._counted[0] != unit:
+                self._counted = (unit, number, now_s)
+            since = now_s - self._counted[2]
+            speed = (number - self._counted[1]) / since if since > 0.0 else 0.0
+            rate = f"{speed:.0f} {unit}/s" if speed >= 10.0 else f"{speed:.2g} {unit}/s"
+        if gone < 1.0 or done <= 0.0:
+            return ""
+        left = round(gone / done * (1.0 - fraction))
+        return f"{rate}, {left // 60}:{left % 60:02d} left".removeprefix(", ")
 
 
 def show(text: str) -> None:

@@ -88,7 +88,7 @@ def reproduce_adaptive_federated(
     say = progress or (lambda _what, _fraction: None)
     table = run_many(
         FederatedTask(chosen), runs, base, name="runs", workers=workers, scheduler=scheduler,
-        progress=lambda _, f: say("Monte Carlo", 0.7 * f),
+        progress=lambda what, f: say(what, 0.7 * f),
     )  # fmt: skip
     say("weak points", 0.7)
     weak = experiments(chosen, min(runs, EXPERIMENT_RUNS))

@@ -91,14 +91,14 @@ def run_many(
     files = {b: parts / f"{name}-{b[0]:06d}-{b[1]:06d}.parquet" for b in blocks}
     say = progress or (lambda _what, _fraction: None)
     missing = [b for b in blocks if not _whole(files[b])]
-    done = len(blocks) - len(missing)
-    say("runs", done / len(blocks))
+    done = runs - sum(b[1] - b[0] for b in missing)
+    say(f"{done} of {runs} runs", done / runs)
     by = (
         _finish(task, missing, files, workers) if scheduler is None else _send(task, missing, files, workers, scheduler)
     )
-    for _ in by:
-        done += 1
-        say("runs", done / len(blocks))
+    for b in by:
+        done += b[1] - b[0]
+        say(f"{done} of {runs} runs", done / runs)
     table = pl.concat([pl.read_parquet(files[b]) for b in blocks], how="vertical")
     write_whole(table, base / f"{name}.parquet")
     return table

@@ -89,7 +89,7 @@ def reproduce_rdss_sins(
         workers=workers,
         scheduler=scheduler,
         name="runs",
-        progress=lambda _, f: say("Monte Carlo", 0.85 * f),
+        progress=lambda what, f: say(what, 0.85 * f),
     )
     say("linear system", 0.85)
     groups: dict[str, list[dict[str, Any]]] = {}

@@ -79,7 +79,7 @@ def reproduce_s3ekf(
         name="runs",
         workers=workers,
         scheduler=scheduler,
-        progress=lambda _, f: say("Monte Carlo", 0.6 * f),
+        progress=lambda what, f: say(what, 0.6 * f),
     )
     say("other process noise", 0.6)
     others = sensitivity(seed=seed)

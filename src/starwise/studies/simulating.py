@@ -89,7 +89,7 @@ def simulate_files(
             output,
             workers=workers,
             scheduler=scheduler,
-            progress=lambda _, done: say("Monte Carlo", 0.3 + 0.7 * done),
+            progress=lambda what, done: say(what, 0.3 + 0.7 * done),
         )
         record["files"]["montecarlo"] = "montecarlo.parquet"
         record["montecarlo"] = [_summary(table, method) for method in methods]

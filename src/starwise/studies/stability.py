@@ -94,7 +94,7 @@ def reproduce_stability(
     say = progress or (lambda _what, _fraction: None)
     table = run_many(
         BurstTask(number), count, base, name="bursts", block=5, workers=workers, scheduler=scheduler,
-        progress=lambda _, f: say("bursts", 0.6 * f),
+        progress=lambda what, f: say(what, 0.6 * f),
     )  # fmt: skip
     records = burst_table(table)
     cases, radii = [], {}
