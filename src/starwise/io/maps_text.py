@@ -99,6 +99,7 @@ def csv_table(solution: Solution) -> bytes:
 def nmea(tracks: Sequence[Track]) -> bytes:
     """NMEA 0183 sentences GGA, RMC and, where there is a covariance, GST of every epoch; talker GN.
 
+    A ZDA at the beginning has the date, without which some readers (RTKLIB) leave out the first GGA.
     Quality of GGA: 1 a position, 6 predicted only, 0 suspect (readers skip it; RMC says V). The age of corrections and
     RMS of residuals are empty. Without a geoid height the altitude is the ellipsoidal one and the separation is 0, so
     that their sum, which is what a reader should take, is right.
@@ -121,7 +122,8 @@ def _sentences(track: Track) -> str:
     motion = [f"{v:.3f},{c:.2f}" if known else "," for v, c, known in pairs]
     heights, used = track.height_m.tolist(), np.clip(track.n_used, 0, 99).tolist()
     ellipse = _ellipses(track)
-    out = []
+    day = labels(track.utc_ns[:1], 0, "{date}")[0]
+    out = [f"GNZDA,{clock[0]},{day[8:10]},{day[5:7]},{day[:4]},00,00"]
     for i, at in enumerate(clock):
         place = f"{lat[i]},{lon[i]}"
         valid = "V" if quality[i] == 0 else "A"
