@@ -11,10 +11,11 @@ from starwise.config_errors import ErrorParameters
 from starwise.constants import C_LIGHT, ROW_COMBINED, ROW_GATED, ROW_NOT_SELECTED, ROW_USED
 from starwise.estimators.dynamics import settle_dynamics
 from starwise.estimators.least_squares import least_squares
+from starwise.estimators.row_noise import noise_variances
 from starwise.kernels.rangemodel import RowModel
 from starwise.kernels.spp import EpochOut
 from starwise.models.pseudorange import Prepared, prepare
-from starwise.types import Ephemeris, IonosphereModel, Observations, Solution
+from starwise.types import F8, Ephemeris, IonosphereModel, Observations, Solution
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction (0..1) that is."""
@@ -72,7 +73,7 @@ def solve_run(
         dop=ep.dop,
         nis=ep.nis,
         dof=ep.dof,
-        ledger=make_ledger(obs, prepared, out),
+        ledger=make_ledger(obs, prepared, out, ep.vel),
         provenance={"dynamics": dynamics, "notes": notes, **events},
     )
     say("done", 1.0)
@@ -110,7 +111,9 @@ def _filter_notes(ep: EpochOut, config: RunConfig) -> tuple[str, ...]:
     return (*filter_notes(ep), white, *((unused,) if config.errors != ErrorParameters() else ()))
 
 
-def make_ledger(obs: Observations, prepared: Prepared, out: RowModel) -> dict[str, NDArray[Any]]:
+def make_ledger(
+    obs: Observations, prepared: Prepared, out: RowModel, vel_e: F8 | None = None
+) -> dict[str, NDArray[Any]]:
     """Ledger: a row per (epoch, satellite, signal) of the observations, in their order.
 
     The row of the chosen signal carries the terms of the model; for it
@@ -150,6 +153,7 @@ def make_ledger(obs: Observations, prepared: Prepared, out: RowModel) -> dict[st
             result[s.row2[second]] = other[second]
         return result
 
+    noise, noise2, rate_noise = noise_variances(prepared, out, vel_e)
     satellite_clock = C_LIGHT * prepared.states.clock_s
     known = out.geometric + out.sagnac + out.troposphere + out.ionosphere - prepared.rows.clock_m
     sig2 = np.zeros(n, dtype=np.int16)
@@ -179,6 +183,8 @@ def make_ledger(obs: Observations, prepared: Prepared, out: RowModel) -> dict[st
         "innovation_var_m2": spread(out.s_code, prepared.error_rows.s2),
         "rate_innovation_mps": spread(out.v_rate),
         "rate_innovation_var_m2ps2": spread(out.s_rate),
+        "noise_var_m2": spread(noise, noise2),
+        "rate_noise_var_m2ps2": spread(rate_noise),
         "ephemeris_age_s": spread(prepared.states.age_s),
         "ephemeris_sigma_m": spread(prepared.rows.sigma_sat_m),
     }

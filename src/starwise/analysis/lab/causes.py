@@ -253,6 +253,8 @@ def _correlated_words(where: str, rho: float, tau: float, p: float, evidence: fl
 def bias_findings(case: Case) -> list[Finding]:
     """Means that are not zero, with the rows that count when errors last."""
     out: list[Finding] = []
+    kind_of = [c.kind for c in case.table.channels]
+    others = {kind: _scatter_of_means(case, kind) for kind in case.kinds}
     for check in case.families["bias"].tests:
         if case.adjusted("bias", check.p) >= ALPHA:
             continue
@@ -261,7 +263,7 @@ def bias_findings(case: Case) -> list[Finding]:
         t1 = float(stats.rho[i, 0]) * math.sqrt(float(stats.pairs[i, 0]))
         share = effective_share(stats.rho[i], stats.lags) if t1 > 3.0 else 1.0
         spread = max(float(stats.nis[i]) - float(stats.mean_z[i]) ** 2, 1e-12)
-        t = float(stats.mean_z[i]) * math.sqrt(n * share / spread)
+        t = float(stats.mean_z[i]) / math.hypot(math.sqrt(spread / (n * share)), others[kind_of[i]])
         p = case.adjusted("bias", math.erfc(abs(t) / math.sqrt(2.0)))
         if p >= ALPHA:
             continue
@@ -278,25 +280,26 @@ def bias_findings(case: Case) -> list[Finding]:
 
 
 def tail_findings(case: Case) -> list[Finding]:
-    """More large innovations than a normal distribution has."""
+    """More large innovations than a normal distribution has, of whatever size it is."""
     own = case.families["tails"]
     bad = [
-        check
-        for check in own.tests
+        check for check in own.tests
         if case.adjusted("tails", check.p) < ALPHA and (check.what == "gate" or check.statistic > 3.0)
-    ]
+    ]  # fmt: skip
     if not bad:
         return []
     trials, refused = refusals(case.table)
     worst = min(bad, key=lambda check: check.p)
     share = refused / max(trials, 1)
     p = case.adjusted("tails", worst.p)
+    expected = max(expected_refusals(case), 0.5)
+    if worst.what == "gate" and refused < 2.0 * expected:
+        return []  # the size of the rest explains them
     words = (
         f"{100.0 * share:.2g} % of the rows are outside the gate, {100.0 * case.table.gate_probability:.2g} % expected."
         if worst.what == "gate"
         else f"Innovations of {worst.what} have heavy tails: kurtosis {worst.statistic:.2g}, 3 of a normal distribution."
     )
-    expected = max(trials * case.table.gate_probability, 0.5)
     evidence = refused * math.log(max(refused / expected, 1.0)) - max(refused - expected, 0.0)
     return [
         Finding(
@@ -305,6 +308,46 @@ def tail_findings(case: Case) -> list[Finding]:
             "Keep the gate, use robust weights (early_sigma, late_sigma), or a mask on C/N0 and elevation.",
         )
     ]  # fmt: skip
+
+
+def _scatter_of_means(case: Case, kind: str) -> float:
+    """Standard deviation of channel means where errors last in most channels (lasting errors have means); else 0."""
+    members = case.members(kind)
+    first = case.stats.rho[members, 0] * np.sqrt(case.stats.pairs[members, 0])
+    if len(members) < 4 or not np.mean(first > 3.0) > 0.5:
+        return 0.0
+    means = case.stats.mean_z[members]
+    return 1.4826 * float(np.median(np.abs(means - np.median(means))))
+
+
+def expected_refusals(case: Case) -> float:
+    """Rows outside the gate if innovations are normal with the size that those inside it have."""
+    from scipy.special import chdtri, erfc
+
+    probability = case.table.gate_probability
+    if probability == 0.0:
+        return 0.0
+    total, ours = 0.0, 0.0
+    for kind in case.kinds:
+        members = case.members(kind)
+        n = float(case.stats.n[members].sum() + case.stats.refused[members].sum())
+        ratio = float(case.stats.square[members].sum() / case.stats.square_mean[members].sum())
+        limit = float(chdtri(1, probability))
+        # The gate cuts what it measures by: the size of all, out of that of the rows inside, by a few steps.
+        true = ratio
+        for _ in range(20):
+            true = ratio / max(_kept(limit / true), 0.05)
+        total += n * float(erfc(math.sqrt(0.5 * limit / true)))
+        ours += n * probability
+    trials, _ = refusals(case.table)
+    return total / max(ours, 1e-300) * trials * probability
+
+
+def _kept(limit: float) -> float:
+    """Mean square of a standard normal inside a gate, over that inside the gate as modelled."""
+    from scipy.special import chdtr
+
+    return float(chdtr(3, limit) / max(chdtr(1, limit), 1e-300))
 
 
 def delay_findings(case: Case) -> list[Finding]:
@@ -316,14 +359,11 @@ def delay_findings(case: Case) -> list[Finding]:
     p = case.adjusted("delay", best.p)
     if p >= ALPHA:
         return []
-    from scipy.special import erfcinv
-
-    t = math.sqrt(2.0) * float(erfcinv(max(best.p, 1e-300)))
     late = best.statistic > 0.0
     words = f"Positions are {'late' if late else 'early'} by {abs(best.statistic):.2g} s: innovations go with changes of velocity."
     return [
         Finding(
-            Cause.DELAY, "positions", best.statistic, "s", p, 0.5 * t * t, True, words,
+            Cause.DELAY, "positions", best.statistic, "s", p, best.evidence, True, words,
             "Correct the time tags, or tell the filter the delay (available_ns of fixes; state time_offset).",
         )
     ]  # fmt: skip

@@ -7,6 +7,7 @@ instead of cautious; what is left of dependence is measured by simulation.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -29,7 +30,8 @@ FAMILIES: Final = ("size", "state", "bias", "whiteness", "tails", "cross", "dela
 class Check:
     """One test: family, what it is of, its statistic, direction and p-value.
 
-    ``group`` are indices of channels, ``what`` words for them.
+    ``group`` are indices of channels, ``what`` words for them; ``evidence``: logarithm of how much more likely the
+    innovations are, where the test says so.
     """
 
     family: str
@@ -37,6 +39,7 @@ class Check:
     statistic: float
     p: float
     group: tuple[int, ...] = ()
+    evidence: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -133,41 +136,46 @@ def splits(table: Innovations) -> list[Split]:
     return out
 
 
+BINS: Final = 64
+
+
 def _split(kind: str, f: F8, q: F8, var: F8) -> Split:
     """Split of normalised squares q (mean 1 under H0) with state parts f."""
     p = []
     for weight in (1.0 - f, f):
-        w = np.clip(weight, 0.0, 1.0)
-        value, mean, spread = float(w @ q), float(w.sum()), float((w * w) @ var)
+        value, mean, spread = float(weight @ q), float(weight.sum()), float((weight * weight) @ var)
         p.append(float(gamma_p(np.array(value), np.array(mean), np.array(spread))[0]) if mean > 1.0 else 1.0)
+    # Rows of nearly one f are one: the rest works on at most 64 sums.
+    at = np.minimum((f * BINS).astype(np.int64), BINS - 1)
+    n, fs, qs = (np.bincount(at, weights=w, minlength=BINS) for w in (np.ones(len(f)), f, q))
+    there = n > 0
+    n, fs, qs = n[there], fs[there] / n[there], qs[there]
 
     def gain(noise: float, state: float) -> float:
-        mu = np.maximum(noise * (1.0 - f) + state * f, 1e-6)
-        return 0.5 * float((q - q / mu - np.log(mu)).sum())
+        mu = np.maximum(noise * (1.0 - fs) + state * fs, 1e-6)
+        return 0.5 * float((qs - qs / mu - n * np.log(mu)).sum())
 
     noise, state = 1.0, 1.0
     for _ in range(30):  # scoring: least squares with weights of the variance, proportional to mu^2
-        mu = np.maximum(noise * (1.0 - f) + state * f, 1e-3)
+        mu = np.maximum(noise * (1.0 - fs) + state * fs, 1e-3)
         w = 1.0 / mu**2
-        a11, a12, a22 = (w * (1.0 - f) ** 2).sum(), (w * f * (1.0 - f)).sum(), (w * f * f).sum()
-        b1, b2 = (w * (1.0 - f) * q).sum(), (w * f * q).sum()
+        a11, a12, a22 = (float((w * n * x).sum()) for x in ((1.0 - fs) ** 2, fs * (1.0 - fs), fs * fs))
+        b1, b2 = float((w * (1.0 - fs) * qs).sum()), float((w * fs * qs).sum())
         det = a11 * a22 - a12 * a12
         if det <= 1e-9 * a11 * a22:
             break
-        noise = float(np.clip((a22 * b1 - a12 * b2) / det, 1e-4, 1e6))
-        state = float(np.clip((a11 * b2 - a12 * b1) / det, 1e-4, 1e6))
+        noise = min(max((a22 * b1 - a12 * b2) / det, 1e-4), 1e6)
+        state = min(max((a11 * b2 - a12 * b1) / det, 1e-4), 1e6)
     return Split(
-        kind, noise, state, p[0], p[1], _single_gain(f, q, gain, True), _single_gain(f, q, gain, False),
+        kind, noise, state, p[0], p[1], _largest(lambda a: gain(a, 1.0)), _largest(lambda a: gain(1.0, a)),
         gain(noise, state), float(f.mean()),
     )  # fmt: skip
 
 
-def _single_gain(f: F8, q: F8, gain, noise: bool) -> float:  # type: ignore[no-untyped-def]
-    """Largest gain with the other factor at 1, over a grid of factors and its refinement."""
-    grid = np.exp(np.linspace(math.log(1e-3), math.log(1e3), 61))
-    best = max(grid.tolist(), key=lambda a: gain(a, 1.0) if noise else gain(1.0, a))
-    fine = best * np.exp(np.linspace(-0.23, 0.23, 13))
-    return max(gain(a, 1.0) if noise else gain(1.0, a) for a in fine.tolist())
+def _largest(gain: Callable[[float], float]) -> float:
+    """Largest gain over factors from a thousandth to a thousand: a grid, then finer."""
+    best = max(np.exp(np.linspace(-6.9, 6.9, 47)).tolist(), key=gain)
+    return max(gain(a) for a in (best * np.exp(np.linspace(-0.3, 0.3, 25))).tolist())
 
 
 def bias_tests(table: Innovations, stats: Series) -> Family:
@@ -353,15 +361,21 @@ def delay_tests(table: Innovations) -> Family:
     known = np.isfinite(table.velocity).all(axis=1)
     if not known.any() or float(np.linalg.norm(np.nan_to_num(table.velocity[known].std(axis=0)))) < 0.1:
         return family("delay", tests)  # m/s: at rest nothing shows a delay
-    for memory in DELAY_MEMORIES:
-        change = _change(table.velocity, known, memory)[table.epoch[rows]]
-        g = -np.einsum("ij,ij->i", table.direction[rows], change) / np.sqrt(table.s[rows])
-        there = np.isfinite(g)
-        information = float((g[there] ** 2).sum())
-        if information > 0.0:
-            size = float((g[there] * table.z[rows][there]).sum()) / information
-            t = size * math.sqrt(information)
-            tests.append(Check("delay", f"{size:.3g} s, memory {memory} epochs", size, float(two_sided(np.array(t)))))
+    z = table.z[rows]
+    columns = [
+        -np.einsum("ij,ij->i", table.direction[rows], _change(table.velocity, known, memory)[table.epoch[rows]])
+        / np.sqrt(table.s[rows])
+        for memory in DELAY_MEMORIES
+    ]
+    g = np.stack(columns, axis=1)
+    there = np.isfinite(g).all(axis=1)
+    g, z = g[there], z[there]
+    information, score = g.T @ g, g.T @ z
+    if not (np.diag(information) > 0.0).all():
+        return family("delay", tests)
+    fit = np.linalg.lstsq(information, score, rcond=1e-8)
+    gain = float(score @ fit[0])
+    tests.append(Check("delay", "position", float(fit[0].sum()), _chi2_sf(gain, int(fit[2])), evidence=0.5 * gain))
     return family("delay", tests)
 
 
