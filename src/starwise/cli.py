@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from starwise import cli_assess, cli_batch, cli_calibrate, cli_export, cli_fuse, cli_sim, cli_solve
+from starwise.cli_examples import epilog
 from starwise.errors import StarwiseError
 from starwise.terminal import Json
 from starwise.terminal import Progress as _Progress
@@ -17,6 +18,8 @@ from starwise.terminal import show_json as _print_json
 app = typer.Typer(
     name="starwise",
     help="Satellite navigation: raw observations in, a trajectory out, with its covariance and the means to check it.",
+    epilog="Begin with: starwise demo\n\nThen with files of your own: starwise solve rover.obs brdc.nav -o out\n\n"
+    "Help on a command, with examples: starwise solve --help",
     add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -126,3 +129,7 @@ def warmup() -> None:
 cli_fuse.register(app)
 cli_sim.register(app)
 cli_calibrate.register(app)
+
+for _command in app.registered_commands:
+    if _command.epilog is None and _command.callback is not None:
+        _command.epilog = epilog(_command.name or _command.callback.__name__)

@@ -32,7 +32,12 @@ def register(app: typer.Typer) -> None:
 
 def simulate(
     scenario: Annotated[
-        str, typer.Argument(metavar="SCENARIO", help="A scenario file (TOML), or the name of one in the package.")
+        str,
+        typer.Argument(
+            metavar="SCENARIO",
+            help="A scenario file (TOML), or one of the package: urban-drive, s3ekf-1-static, s3ekf-2-steps, "
+            "s3ekf-3-turn, s3ekf-4-climb-dive.",
+        ),
     ],
     output: Output,
     runs: Runs = 1,

@@ -10,6 +10,8 @@ import typer
 from starwise.errors import StarwiseError
 from starwise.terminal import Json, NoReport, Progress, read_settings, show, show_json
 
+_FILTER, _CHOICE, _FILES = "Method", "Satellites and epochs", "Further files"
+
 
 def register(app: typer.Typer) -> None:
     """Add the command to the application."""
@@ -29,77 +31,136 @@ def solve(
     method: Annotated[
         str | None,
         typer.Option(
-            metavar="lsq|ekf|s3ekf|federated",
-            help="Estimator; default s3ekf; federated: a filter per constellation, fused. With --imu: loose (default) "
-            "or tight.",
+            metavar="METHOD",
+            help="lsq, ekf, s3ekf (default) or federated: a filter per constellation, fused. With --imu: loose "
+            "(default) or tight.",
+            rich_help_panel=_FILTER,
         ),
     ] = None,
     share: Annotated[
         str | None,
-        typer.Option(metavar="auto|G=..,R=..", help="Shares of the federated filter, scaled to sum 1; default auto."),
+        typer.Option(
+            metavar="G=..,R=..",
+            help="Shares of the federated filter, scaled to sum 1; default auto.",
+            rich_help_panel=_FILTER,
+        ),
     ] = None,
     imu: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Inertial readings: adds attitude and sensor biases.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Inertial readings: adds attitude and sensor biases.", rich_help_panel=_FILES
+        ),
     ] = None,
     imu_config: Annotated[
         str | None,
-        typer.Option("--imu-config", metavar="FILE.toml|LAYOUT", help="What the file of --imu holds; \\[inertial]."),
+        typer.Option(
+            "--imu-config",
+            metavar="TOML",
+            help="What the file of --imu holds, and \\[inertial]; or the name of a layout.",
+            rich_help_panel=_FILES,
+        ),
     ] = None,
     fixes: Annotated[
-        Path | None, typer.Option(metavar="FILE.pos", help="With --imu, in place of RINEX: fixes from elsewhere.")
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="With --imu, in place of RINEX: fixes of another program (.pos, NMEA, CSV).",
+            rich_help_panel=_FILES,
+        ),
     ] = None,
     error_model: Annotated[
         str | None,
-        typer.Option(metavar="colored|white", help="Range errors that last, as states, or white; default colored."),
+        typer.Option(
+            metavar="MODEL",
+            help="colored (default): range errors that last are states; or white.",
+            rich_help_panel=_FILTER,
+        ),
     ] = None,
-    systems: Annotated[str | None, typer.Option(metavar="LETTERS", help="Satellite systems; default GRECJ.")] = None,
-    mask: Annotated[float | None, typer.Option(metavar="DEG", help="Elevation mask; default 10.")] = None,
+    systems: Annotated[
+        str | None,
+        typer.Option(metavar="LETTERS", help="Satellite systems; default GRECJ.", rich_help_panel=_CHOICE),
+    ] = None,
+    mask: Annotated[
+        float | None, typer.Option(metavar="DEG", help="Elevation mask; default 10.", rich_help_panel=_CHOICE)
+    ] = None,
     dynamics: Annotated[
         str | None,
         typer.Option(
-            metavar="static|pedestrian|vehicle|aircraft",
-            help="How the user moves; default auto: static where the observations show rest throughout, else vehicle.",
+            metavar="HOW",
+            help="static, pedestrian, vehicle or aircraft; default auto: static where the observations show rest "
+            "throughout, else vehicle.",
+            rich_help_panel=_FILTER,
         ),
     ] = None,
-    ephemeris: Annotated[Path | None, typer.Option(metavar="SP3", help="Precise orbits.")] = None,
-    clock: Annotated[Path | None, typer.Option(metavar="CLK", help="Precise clocks, with --ephemeris.")] = None,
+    ephemeris: Annotated[
+        Path | None, typer.Option(metavar="SP3", help="Precise orbits.", rich_help_panel=_FILES)
+    ] = None,
+    clock: Annotated[
+        Path | None, typer.Option(metavar="CLK", help="Precise clocks, with --ephemeris.", rich_help_panel=_FILES)
+    ] = None,
     post: Annotated[
         bool | None,
         typer.Option(
             "--post/--no-post",
             help="Nearest broadcast ephemeris, also one sent after the epoch; default only what had been sent by then.",
+            rich_help_panel=_CHOICE,
         ),
     ] = None,
     start: Annotated[
         str | None,
-        typer.Option(metavar="T", help="First epoch: 2024-03-30T12:00:00 (GPST; with Z, UTC) or week:tow."),
+        typer.Option(
+            metavar="T",
+            help="First epoch: 2024-03-30T12:00:00 (GPST; with Z, UTC) or week:tow.",
+            rich_help_panel=_CHOICE,
+        ),
     ] = None,
-    end: Annotated[str | None, typer.Option(metavar="T", help="Last epoch.")] = None,
-    interval: Annotated[float | None, typer.Option(metavar="S", help="Only epochs on multiples of S seconds.")] = None,
+    end: Annotated[str | None, typer.Option(metavar="T", help="Last epoch.", rich_help_panel=_CHOICE)] = None,
+    interval: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Only epochs on multiples of S seconds.", rich_help_panel=_CHOICE),
+    ] = None,
     sessions: Annotated[
         str | None,
-        typer.Option(metavar="LENGTH", help="Start anew after every such time, like 2h; for assess --pool."),
+        typer.Option(
+            metavar="LENGTH",
+            help="Start anew after every such time, like 2h; for assess --pool.",
+            rich_help_panel=_FILTER,
+        ),
     ] = None,
     combination: Annotated[
         str | None,
         typer.Option(
-            metavar="single|uncombined|ionosphere_free",
-            help="One frequency or two; default two beside each other (colored), one (white).",
+            metavar="CODES",
+            help="single: one frequency (default with white errors); uncombined: two beside each other (with "
+            "colored); or ionosphere_free.",
+            rich_help_panel=_FILTER,
         ),
     ] = None,
     exclude: Annotated[
-        list[str] | None, typer.Option(metavar="SV", help="Satellite not to be used, like G05; repeatable.")
+        list[str] | None,
+        typer.Option(metavar="SV", help="Satellite not to be used, like G05; repeatable.", rich_help_panel=_CHOICE),
     ] = None,
     config: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="Configuration; options override it.")
+        Path | None,
+        typer.Option(metavar="TOML", help="Configuration; options override it.", rich_help_panel=_FILTER),
     ] = None,
     rtklib_conf: Annotated[
         Path | None,
-        typer.Option("--rtklib-conf", metavar="FILE.conf", help="Options of RTKLIB, as far as there are equivalents."),
+        typer.Option(
+            "--rtklib-conf",
+            metavar="CONF",
+            help="Options of RTKLIB, as far as there are equivalents.",
+            rich_help_panel=_FILTER,
+        ),
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Any key of the configuration, like process.model=singer."),
+        typer.Option(
+            "--set",
+            metavar="KEY=..",
+            help="Any key of the configuration, like process.model=singer.",
+            rich_help_panel=_FILTER,
+        ),
     ] = None,
     no_report: NoReport = False,
     as_json: Json = False,
