@@ -12,6 +12,7 @@ from starwise.estimators import s3ekf
 from starwise.frames import C_ne_enu, geodetic_from_ecef
 from starwise.kernels.error_states import ErrorModel, ErrorRows
 from starwise.kernels.rangemodel import Epochs, Rows
+from starwise.models.maneuver import AxisMotion
 from starwise.models.process import Clocks, Motion, matrices
 from starwise.types import Layout, Linear, State
 
@@ -49,18 +50,17 @@ class Twin:
                 "sig2": e.signal_tau}[kind]  # fmt: skip
 
     def predict(self, t_ns: int) -> None:
-        s = self.state
+        s = self.before = self.state
         dt = (t_ns - s.t_ns) * 1e-9
         active = [k for k in sorted(self.clock_seen) if f"clk.{k}" in s.layout]
-        up = s.x[:3] / [1.0, 1.0, 1.0 - WGS84_E2]
-        Phi1, Q1 = matrices(self.motion, self.clocks, len(active), dt, up / np.linalg.norm(up))
+        Phi1, mean, Q1 = self.motion_matrices(dt, len(active), s.x)
         names = [*self.motion.names, *(f"clk.{k}" for k in active), *(f"drift.{k}" for k in active)]
         at = s.layout.indices(names)
         n = len(s.layout)
         Phi, Q = np.zeros((n, n)), np.zeros((n, n))
         Phi[np.ix_(at, at)], Q[np.ix_(at, at)] = Phi1, Q1
         x = s.x.copy()
-        x[at] = Phi1 @ s.x[at]
+        x[at] = mean @ s.x[at]
         speed = 0.0
         if self.motion.nk > 3:
             v = s.layout.indices(["vel.x", "vel.y", "vel.z"])
@@ -70,8 +70,29 @@ class Twin:
             if i not in at:
                 Phi[i, i] = np.exp(-dt / self.taus(name, speed))
                 Q[i, i] = 1.0 - Phi[i, i] ** 2
+        moved = x[at]
         x = Phi @ s.x
+        x[at] = moved
         self.state = State(t_ns, s.layout, x, Phi @ s.P @ Phi.T + Q)
+
+    def motion_matrices(self, dt: float, n_clocks: int, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Phi of the covariance, Phi of the state and Q, motion and clocks."""
+        up = x[:3] / [1.0, 1.0, 1.0 - WGS84_E2]
+        up /= np.linalg.norm(up)
+        Phi, Q = matrices(self.motion, self.clocks, n_clocks, dt, up)
+        mean = Phi.copy()
+        if self.motion.model == "current":
+            east = np.cross([0.0, 0.0, 1.0], up)
+            C = np.stack([east / np.linalg.norm(east), np.cross(up, east / np.linalg.norm(east)), up])
+            _, Phi_1, G = AxisMotion("current", 1.0, self.motion.tau_s).matrices(dt)
+            most = np.sqrt(np.array([self.motion.horizontal] * 2 + [self.motion.vertical]) * np.pi / (4.0 - np.pi))
+            room = np.maximum(1.0 - np.abs(C @ x[6:9]) / most, 0.1)
+            M = C.T @ np.diag((4.0 - np.pi) / np.pi * (most * room) ** 2) @ C
+            mean[:9, :9], Q[:9, :9] = np.kron(Phi_1, np.eye(3)), np.kron(G, M)
+        return Phi, mean, Q
+
+    def before_update(self, everything) -> None:
+        """What happens between the prediction and the first row: nothing."""
 
     def take_clocks(self, present: set[int], options: dict[str, float]) -> None:
         """Systems absent for long leave; those that appear start as the best known clock plus a wide offset."""
@@ -209,6 +230,8 @@ class Twin:
             parts = [one(state, j) for j in range(len(index))]
             return Linear(*(np.concatenate([getattr(p, a) for p in parts]) for a in ("v", "H", "r", "row")))
 
+        self.before_update(everything)
+        s = self.state
         if self.sequential:
             self.state, info = s3ekf.update(s, one, range(len(index)))
         else:

@@ -8,8 +8,8 @@ from scipy.linalg import expm
 
 from starwise.config import RunConfig
 from starwise.frames import ecef_from_geodetic
+from starwise.kernels.process import current_shape, noise_shape, predict
 from starwise.kernels.process import motion as motion_kernel
-from starwise.kernels.process import noise_shape, predict
 from starwise.models.process import (
     CLOCKS,
     KINDS,
@@ -29,8 +29,9 @@ MODELS = [
     Motion("acceleration", 0.3, 0.3),
     Motion("singer", 4.0, 4.0, 7.0),
     Motion("singer", 1.0, 1.0, 3000.0),
+    Motion("current", 4.0, 4.0, 7.0),
 ]
-IDS = ["static", "velocity", "acceleration", "singer", "singer-slow"]
+IDS = ["static", "velocity", "acceleration", "singer", "singer-slow", "current"]
 # Sizes of a state's elements: makes one tolerance serve positions after an hour and accelerations after 10 ms.
 REL = 1e-10  # rounding of the matrix exponential of the reference
 
@@ -53,7 +54,7 @@ def close(a, b, rel=REL):
 @pytest.mark.parametrize("model", MODELS, ids=IDS)
 @pytest.mark.parametrize("dt", [1e-3, 0.1, 1.0, 5.0, 30.0, 100.0])
 def test_discretisation_is_van_loans(model, dt):
-    if model.model == "singer" and dt / model.tau_s > 10.0:
+    if model.model in ("singer", "current") and dt / model.tau_s > 10.0:
         pytest.skip("the reference itself loses all digits: exp(+dt / tau) is in it")
     A, W = driving(model, CLOCKS, 2)
     Phi, Q = matrices(model, CLOCKS, 2, dt)
@@ -133,9 +134,35 @@ def test_predict_is_phi_p_phi_plus_q(model, clocks):
     got_x, got_P = np.append(x, 0.0), np.zeros((n + 1, n + 1))
     got_P[:n, :n] = P
     predict(got_x, got_P, nk, clocks, dt, process, F, G, M)
-    assert np.abs(got_x[:n] - Phi @ x).max() < 1e-11
+    if model.model == "current":  # the mean is the acceleration before: it stays
+        Phi[:3, 6:9], Phi[3:6, 6:9], Phi[6:9, 6:9] = dt**2 / 2.0 * np.eye(3), dt * np.eye(3), np.eye(3)
+        assert np.abs(got_x[:n] - Phi @ x).max() < 1e-11
+        Phi, _ = matrices(model, CLOCKS, clocks, dt, up)
+    else:
+        assert np.abs(got_x[:n] - Phi @ x).max() < 1e-11
     assert np.abs(got_P[:n, :n] - (Phi @ P @ Phi.T + Q)).max() < 1e-5  # M above
     assert np.array_equal(got_P, got_P.T)
+
+
+@pytest.mark.parametrize("lat", [-np.pi / 2.0, -0.4, 0.0, 0.9])
+def test_variance_of_the_current_model_is_that_of_each_axis(lat):
+    """East, north and up apart, by what is left to the largest acceleration; never nothing."""
+    config = RunConfig(dynamics="vehicle", process={"model": "current", "acceleration_max_mps2": 4.0})
+    process = process_numbers(motion_from(config), CLOCKS)
+    assert process.a_max == pytest.approx(4.0)
+    up = np.array([np.cos(lat), 0.0, np.sin(lat)])
+    C = np.stack([[0.0, 1.0, 0.0], np.cross(up, [0.0, 1.0, 0.0]), up])  # on the meridian of Greenwich
+    pos = ecef_from_geodetic(np.array([lat, 0.0, 0.0]))
+    factor = (4.0 - np.pi) / np.pi
+    for a, want in (
+        ([0.0, 0.0, 0.0], [4.0, 4.0, 1.2]),
+        ([-1.0, 2.5, 0.4], [3.0, 1.5, 0.8]),
+        ([9.0, 0.0, -9.0], [0.4, 4.0, 0.12]),
+    ):
+        x = np.concatenate([pos, np.zeros(3), np.array(a) @ C])
+        M = np.full((3, 3), np.nan)
+        current_shape(process, x, M)
+        assert np.abs(C @ M @ C.T - np.diag(factor * np.square(want))).max() < 1e-4  # normal of the ellipsoid
 
 
 def test_presets_are_complete_and_configuration_overrides_them():

@@ -8,7 +8,7 @@ the key. Add an option by adding a field with a type and, where it has limits, a
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from starwise.checked import Checked as Checked
 from starwise.checked import NotNegative as NotNegative
@@ -31,8 +31,9 @@ class ProcessNoise(Checked):
     Spectral densities are those of the white noise that drives the model, per axis.
     """
 
-    model: Literal["static", "velocity", "acceleration", "singer"] | None = None
-    """Fixed position, constant velocity, constant acceleration, or Singer (Markov acceleration)."""
+    model: Literal["static", "velocity", "acceleration", "singer", "current"] | None = None
+    """Fixed position, constant velocity, constant acceleration, Singer (Markov acceleration), or "current" statistical
+    model (Markov acceleration about the predicted one, its variance by what is left to the largest one)."""
     position_psd_m2_per_s: NotNegative | None = None
     """Static: random walk of the position, m^2/s."""
     acceleration_psd_m2_per_s3: NotNegative | None = None
@@ -42,7 +43,9 @@ class ProcessNoise(Checked):
     acceleration_sigma_mps2: NotNegative | None = None
     """Singer: standard deviation of the acceleration, m/s^2."""
     acceleration_tau_s: Positive | None = None
-    """Singer: correlation time of the acceleration, s."""
+    """Singer, "current": correlation time of the acceleration, s."""
+    acceleration_max_mps2: Positive | None = None
+    """"Current": largest acceleration, m/s^2."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,10 @@ class ClockNoise(Checked):
     """Random walk of the frequency, m^2/s^3."""
     intersystem_psd_m2_per_s: NotNegative | None = None
     """Random walk of the clock of a system against the first system's, m^2/s."""
+
+
+WEIGHTING_RULES: Final = ("iae_r", "sage_husa_r", "huber", "igg3")
+"""Adaptation rules that change the variances of measurements."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +92,11 @@ class RunConfig(Checked):
     """Mean weather of latitude and season mapped by Niell, or Saastamoinen in a standard atmosphere over sin(el)."""
     weighting: Literal["standard"] = "standard"
     """Measurement variance from elevation, C/N0 and the accuracy the ephemeris claims."""
+    adaptation: Literal[
+        "none", "fading", "fading_improved", "strong_tracking", "iae_r", "iae_q", "sage_husa_r", "sage_husa_q",
+        "huber", "igg3",
+    ] = "none"  # fmt: skip
+    """Rule by which filters change P, Q or R from innovations; those of R are for white errors only."""
     error_model: Literal["colored", "white"] = "colored"
     """Range errors as states that last, on two frequencies; or independent from epoch to epoch, on one."""
     exclude: tuple[str, ...] = ()
@@ -114,6 +126,17 @@ class RunConfig(Checked):
                 "two uncombined frequencies need states for the ionosphere",
                 found="combination uncombined, error_model white",
                 wanted="error_model colored",
+            )
+        if self.adaptation != "none" and self.method == "lsq":
+            raise StarwiseError(
+                "adaptation rules are of filters", found=f"adaptation {self.adaptation}, method lsq",
+                wanted="method ekf, s3ekf or federated",
+            )  # fmt: skip
+        if self.adaptation in WEIGHTING_RULES and self.error_model == "colored":
+            raise StarwiseError(
+                "coloured errors have a scale and robust weights of their own: no other rule of R beside them",
+                found=f"adaptation {self.adaptation}, error_model colored",
+                wanted="error_model white, or a rule of P or Q",
             )
         unknown = sorted(set(self.systems) - set(SYSTEMS))
         if not self.systems or unknown or len(set(self.systems)) != len(self.systems):

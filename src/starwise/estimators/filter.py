@@ -3,6 +3,7 @@
 import numpy as np
 
 from starwise.config import RunConfig
+from starwise.estimators.adaptive import RULES
 from starwise.estimators.least_squares import chi_square_table, empty_epochs, spp_options
 from starwise.kernels.error_states import ErrorModel, ErrorRows
 from starwise.kernels.filter_run import filter_run
@@ -41,6 +42,7 @@ def filter_options(config: RunConfig, motion: Motion, clocks: Clocks) -> FilterO
         # update is not iterated).
         lost_sigma_m=3_000.0 if config.error_model == "colored" else 10_000.0,
         memoryless=config.method == "lsq",
+        rule=RULES[config.adaptation].numbers(),
         absent_s=3600.0,  # the inter-system bias is still known to 0.3 m then; the state stays small
     )
 
@@ -88,7 +90,7 @@ def filter_rows(
     n_clocks : int
         Receiver clocks in ``rows.clock``.
     config : RunConfig
-        ``method``, ``dynamics``, ``process``, ``clock``, ``gate_probability``, ``fde``.
+        ``method``, ``dynamics``, ``process``, ``clock``, ``adaptation``, ``gate_probability``, ``fde``.
     start : ((n,), (n, n)), optional
         Belief at the first epoch: kinematic states, clock bias, then drift, of every system; ECEF, SI. Without it
         the first epoch that least squares can solve starts the filter.

@@ -161,6 +161,54 @@ def _stretch(t: float, late: float, early: float) -> float:
 
 
 @njit
+def satellite_rows(
+    errors: ErrorModel, rows: Rows, extra: ErrorRows, out: RowModel, i: int, x: F8, nk: int, nc: int, c: int,
+    slot: int, scale: float, speed2: float, idx: I8, val: F8, count: I8, v: F8, r: F8, part: F8,
+) -> None:  # fmt: skip
+    """Code of the first signal, of the second, and rate of row i at state x, as sparse rows; (3,) each.
+
+    Parameters
+    ----------
+    c, slot : int
+        Element of the satellite's clock; its slot.
+    speed2 : float
+        Squared speed that adds to the noise of rates, (m/s)^2.
+    idx, val, count : (3, K_MAX), (3, K_MAX), (3,)
+        Out: elements of the state that a row sees, and how; their number.
+    v, r, part : (3,)
+        Out: innovations (NaN: no such row), white variances, parts of them that the common factor scales.
+    """
+    base, moving = nk + 2 * nc, nk > 3
+    v1, v2, ux, uy, uz, gx, gy, gz = linearise(rows, out, i, x, moving, c, c + nc)
+    for b in range(2):
+        idx[b, 0], idx[b, 1], idx[b, 2], idx[b, 3] = 0, 1, 2, c
+        val[b, 0], val[b, 1], val[b, 2], val[b, 3] = -ux, -uy, -uz, 1.0
+    count[0], r[0], part[0] = code_states(errors, rows, extra, out, i, False, base, slot, scale, idx[0], val[0])
+    v[0], v[1], v[2] = v1, np.nan, v2
+    if errors.dual and extra.code2_m[i] == extra.code2_m[i]:
+        count[1], r[1], part[1] = code_states(errors, rows, extra, out, i, True, base, slot, scale, idx[1], val[1])
+        iono2 = out.ionosphere[i] * (rows.freq_hz[i] / extra.freq2_hz[i]) ** 2
+        v[1] = (
+            v1 + (extra.code2_m[i] - rows.code_m[i]) + (extra.clock2_m[i] - rows.clock_m[i])
+            - (iono2 - out.ionosphere[i])
+        )  # fmt: skip
+    for b in range(2):
+        if v[b] == v[b]:
+            for k in range(4, count[b]):
+                v[b] -= val[b, k] * x[idx[b, k]]
+    idx[2, 0], idx[2, 1], idx[2, 2], idx[2, 3] = 0, 1, 2, c + nc
+    val[2, 0], val[2, 1], val[2, 2], val[2, 3] = gx, gy, gz, 1.0
+    count[2] = 4
+    if moving:
+        idx[2, 4], idx[2, 5], idx[2, 6] = 3, 4, 5
+        val[2, 4], val[2, 5], val[2, 6] = -ux, -uy, -uz
+        count[2] = 7
+    r[2] = out.rate_var[i] + motion_rate_variance(errors, rows.cn0_dbhz[i], speed2)
+    if not r[2] < np.inf:
+        v[2] = np.nan
+
+
+@njit
 def update_colored(
     options: FilterOptions, errors: ErrorModel, rows: Rows, extra: ErrorRows, out: RowModel, m: int,
     x: F8, P: F8, nk: int, nc: int, at: I8, slots: Slots, dt: float, x1: F8, work: Work,
@@ -186,35 +234,9 @@ def update_colored(
         c = nk + at[rows.clock[i]]
         slot = slots.at[extra.sv[i]]
         at_x = x if options.sequential else x1
-        v1, v2, ux, uy, uz, gx, gy, gz = linearise(rows, out, i, at_x, moving, c, c + nc)
-        for b in range(2):
-            idx[b, 0], idx[b, 1], idx[b, 2], idx[b, 3] = 0, 1, 2, c
-            val[b, 0], val[b, 1], val[b, 2], val[b, 3] = -ux, -uy, -uz, 1.0
-        # Code of the first signal, of the second, and rate.
-        scale = slots.scale[0]
-        count[0], r[0], part[0] = code_states(errors, rows, extra, out, i, False, base, slot, scale, idx[0], val[0])
-        v[0], v[1], v[2] = v1, np.nan, v2
-        if errors.dual and extra.code2_m[i] == extra.code2_m[i]:
-            count[1], r[1], part[1] = code_states(errors, rows, extra, out, i, True, base, slot, scale, idx[1], val[1])
-            iono2 = out.ionosphere[i] * (rows.freq_hz[i] / extra.freq2_hz[i]) ** 2
-            v[1] = (
-                v1 + (extra.code2_m[i] - rows.code_m[i]) + (extra.clock2_m[i] - rows.clock_m[i])
-                - (iono2 - out.ionosphere[i])
-            )  # fmt: skip
-        for b in range(2):
-            if v[b] == v[b]:
-                for k in range(4, count[b]):
-                    v[b] -= val[b, k] * at_x[idx[b, k]]
-        idx[2, 0], idx[2, 1], idx[2, 2], idx[2, 3] = 0, 1, 2, c + nc
-        val[2, 0], val[2, 1], val[2, 2], val[2, 3] = gx, gy, gz, 1.0
-        count[2] = 4
-        if moving:
-            idx[2, 4], idx[2, 5], idx[2, 6] = 3, 4, 5
-            val[2, 4], val[2, 5], val[2, 6] = -ux, -uy, -uz
-            count[2] = 7
-        r[2] = out.rate_var[i] + motion_rate_variance(errors, rows.cn0_dbhz[i], speed2)
-        if not r[2] < np.inf:
-            v[2] = np.nan
+        satellite_rows(
+            errors, rows, extra, out, i, at_x, nk, nc, c, slot, slots.scale[0], speed2, idx, val, count, v, r, part
+        )
         bits, rank = 0, 0
         extra.used[i] = 0
         work.vo[q, 0], work.vo[q, 1], work.so[q, 0], work.so[q, 1] = v[0], np.nan, np.nan, np.nan

@@ -16,6 +16,10 @@ F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 
 
+EQUAL_M = 1e-3
+"""Codes that are as near to the median to within this are equally near, and the one of less variance leads."""
+
+
 @njit
 def _lead_with(rows: Rows, out: RowModel, m: int, x: F8, nk: int, at: I8, middle: float, work: Work) -> None:
     """Bring the satellite whose code innovation is nearest to ``middle`` to the front of ``work.order``."""
@@ -24,7 +28,8 @@ def _lead_with(rows: Rows, out: RowModel, m: int, x: F8, nk: int, at: I8, middle
         i = work.order[k]
         if at[rows.clock[i]] >= 0:
             off = abs(code_innovation(rows, out, i, x, nk + at[rows.clock[i]], work.lasting) - middle)
-            if off < best_off:
+            # An even number has a median between two: rounding must not choose between them.
+            if off < best_off - EQUAL_M:
                 best, best_off = k, off
     if best > 0:
         lead = work.order[best]

@@ -97,8 +97,9 @@ def _update_linear(
         v1, v2, ux, uy, uz, gx, gy, gz = linearise(rows, out, i, x1, moving, work.ic[k], work.idr[k])
         work.u[k, 0], work.u[k, 1], work.u[k, 2] = ux, uy, uz
         work.g[k, 0], work.g[k, 1], work.g[k, 2] = gx, gy, gz
-        work.v[k, 0], work.v[k, 1] = v1, v2
-        work.r[k, 0] = out.code_var[i]
+        refused = not out.code_var[i] < np.inf
+        work.v[k, 0], work.v[k, 1] = np.nan if refused else v1, v2
+        work.r[k, 0] = 1.0 if refused else out.code_var[i]
         work.r[k, 1] = out.rate_var[i] if v2 == v2 else np.inf
     if options.sequential:
         nis, dof = update_sequential(
@@ -128,8 +129,10 @@ def _update_satellites(
         d = c + nc
         v1, v2, ux, uy, uz, gx, gy, gz = linearise(rows, out, i, x, moving, c, d)
         r2 = out.rate_var[i] if v2 == v2 else np.inf
+        refused = not out.code_var[i] < np.inf  # by a rule: no innovation passes
+        r1 = 1.0 if refused else out.code_var[i]
         bits, q, s1, s2 = update_satellite(
-            x, P, n, moving, c, d, ux, uy, uz, gx, gy, gz, v1, v2, out.code_var[i], r2,
+            x, P, n, moving, c, d, ux, uy, uz, gx, gy, gz, np.nan if refused else v1, v2, r1, r2,
             options.gate1, options.gate2, work.a, work.b,
         )  # fmt: skip
         work.used[k] = bits

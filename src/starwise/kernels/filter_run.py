@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from starwise.constants import EPOCH_COASTED, EPOCH_NO_SOLUTION, EPOCH_OK, EPOCH_RESET, EPOCH_SUSPECT
 from starwise.kernels._jit import njit
+from starwise.kernels.adapt import NONE, memory_size
 from starwise.kernels.colored import predicted_errors, start_colored, update_colored
 from starwise.kernels.error_states import (
     N_SKY,
@@ -18,13 +19,13 @@ from starwise.kernels.error_states import (
     Slots,
     enter_satellites,
     n_errors,
-    predict_errors,
     reset_errors,
 )
 from starwise.kernels.filter_clocks import activate_clocks, align_clocks, count_missed
 from starwise.kernels.filter_epoch import arrange, tally, update_epoch
+from starwise.kernels.filter_predict import adapt_epoch, advance
 from starwise.kernels.filter_state import Belief, FilterOptions, Work, start_filter
-from starwise.kernels.process import Process, motion, noise_shape, predict
+from starwise.kernels.process import Process
 from starwise.kernels.rangemodel import Epochs, ModelOptions, RowModel, Rows, epoch_corrections
 from starwise.kernels.spp import (
     FILTER_RATES_IGNORED,
@@ -202,7 +203,7 @@ def filter_run(
     )  # fmt: skip
     x, P, at = belief.x, belief.P, belief.at
     x2, P2 = np.zeros(size), np.zeros((size, size))
-    F, G, M = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    F, G, M, memory = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(memory_size(options.rule.window))
     running, nc, t_last, dt_known = False, 0, 0, -1.0
     failed = 0  # epochs in a row that disagreed
     weak = 0  # epochs in a row in which codes were gated and the rest was too few to check itself
@@ -228,13 +229,7 @@ def filter_run(
         m = 0
         if running:
             dt = max((t_ns - t_last) * 1e-9, 0.0)  # variances do not shrink, whatever a caller takes for time
-            if dt != dt_known:
-                motion(process.kind, dt, process.tau_s, F, G)
-                dt_known = dt
-            noise_shape(process, x[0], x[1], x[2], M)
-            predict(x, P, nk, nc, dt, process, F, G, M)
-            if errors.on:
-                predict_errors(errors, slots, x, P, nk, nc, dt, F, phi)
+            dt_known = advance(process, errors, slots, x, P, nk, nc, dt, dt_known, F, G, M, phi)
             lost = not P[0, 0] + P[1, 1] + P[2, 2] < options.lost_sigma_m**2 or not P[nk, nk] < MAX_CLOCK_VAR
         if options.memoryless:
             running, lost, failed = False, True, 0
@@ -256,6 +251,7 @@ def filter_run(
                     strikes = strikes + 1 if soon else 1
                     e_strike, t_strike = e, t_ns
                     ignore = ignore or strikes >= MAX_STRIKES
+                memory.fill(0.0)
                 wait, t_wait = 0 if rates == RATES_CHECKED else TRIAL_EPOCHS, t_ns
                 nc, running, failed, weak, e_start, t_start = started, True, 0, 0, e, t_ns
                 if not P[0, 0] + P[1, 1] + P[2, 2] <= max_var:
@@ -289,8 +285,12 @@ def filter_run(
             predicted_errors(errors, rows, extra, out, m, x, base, slots, slots.scale[0], work)
         if m > 0:
             tail = n_errors(errors, slots)
-            align_clocks(options, rows, out, m, x, P, nk, nc, tail, at, work)
+            stepped = align_clocks(options, rows, out, m, x, P, nk, nc, tail, at, work)
             nc = activate_clocks(options, rows, out, m, t_ns, nk, nc, tail, belief, x2, P2, work)
+            if options.rule.kind != NONE and dt > 0.0 and not stepped:  # a clock forgotten has no Q left to take out
+                adapt_epoch(
+                    options, process, errors, rows, extra, out, m, x, P, nk, nc, at, slots, dt, G, M, memory, work
+                )
         if errors.on:
             nis, dof = update_colored(options, errors, rows, extra, out, m, x, P, nk, nc, at, slots, dt, x2, work)
         else:

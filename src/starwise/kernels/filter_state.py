@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starwise.kernels._jit import njit
+from starwise.kernels.adapt import Rule
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -30,6 +31,7 @@ class FilterOptions(NamedTuple):
     lost_sigma_m: float  # position sigma above which the filter prefers a fresh start
     absent_s: float  # a system not seen for so long leaves the state
     memoryless: bool  # every epoch starts anew: least squares with the full covariance of the errors
+    rule: Rule  # adaptation
 
 
 class Belief(NamedTuple):

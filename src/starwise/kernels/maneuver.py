@@ -20,12 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starwise.kernels._jit import njit
-from starwise.kernels.process import ACCELERATION, SINGER, STATIC, VELOCITY, motion
+from starwise.kernels.process import ACCELERATION, CURRENT, SINGER, STATIC, VELOCITY, motion
 
 F8 = NDArray[np.float64]
 
-CURRENT = 4
-"""The "current" model, beside the kinds of `starwise.kernels.process`: STATIC, VELOCITY, ACCELERATION, SINGER."""
 __all__ = ["ACCELERATION", "CURRENT", "SINGER", "STATIC", "VELOCITY"]
 
 
@@ -36,7 +34,7 @@ def axis_motion(kind: int, dt: float, tau: float, Phi: F8, Phi_1: F8, G: F8) -> 
     They differ for the "current" model only: Phi_1 is then that of constant acceleration. G is for unit spectral
     density of the driving noise; Singer and "current": for unit variance of the acceleration.
     """
-    motion(SINGER if kind == CURRENT else kind, dt, tau, Phi, G)
+    motion(kind, dt, tau, Phi, G)
     for i in range(3):
         for j in range(3):
             Phi_1[i, j] = Phi[i, j]

@@ -8,6 +8,12 @@ Clocks of several systems are one oscillator seen through different receiver cha
 common to all of them, and each has a small random walk of its own (the inter-system bias). With no common noise they
 are the independent clocks of the S3EKF paper.
 
+The "current" statistical model (Zhou, Kumar 1984) is Singer's about a mean, the predicted acceleration: its state
+moves with constant acceleration, its covariance as Singer's, and the variance of each axis (east, north, up) is that of
+a Rayleigh density between the estimated acceleration and the largest one,
+
+    sigma_a^2 = (4 - pi) / pi (a_max - |a|)^2 = sigma_0^2 (1 - |a| / a_max)^2.
+
 Sources: Groves (2013) 9.4.2 (clock and motion models), Bar-Shalom, Li, Kirubarajan (2001) 6.2 (white noise
 acceleration and jerk), Singer (1970) "Estimating optimal tracking filter performance for manned maneuvering
 targets", Van Dierendonck, McGraw, Brown (1984) (two-state clock).
@@ -28,6 +34,9 @@ STATIC = 0
 VELOCITY = 1
 ACCELERATION = 2
 SINGER = 3
+CURRENT = 4
+LEAST_ROOM = 0.1
+"""Part of a_max that is always left to the "current" model: without noise it would never let go of an acceleration."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 # Nodes and weights on 0..1. Eight points integrate products of exp(-s) and polynomials over s <= 1 to rounding.
@@ -38,15 +47,17 @@ _WEIGHTS = 0.5 * _WEIGHTS
 class Process(NamedTuple):
     """Numbers of a process model."""
 
-    kind: int  # STATIC, VELOCITY, ACCELERATION, SINGER
-    nk: int  # kinematic states: 3, 6, 9, 9
-    horizontal: float  # PSD of the driving noise per horizontal axis (Singer: variance of the acceleration)
+    kind: int  # STATIC, VELOCITY, ACCELERATION, SINGER, CURRENT
+    nk: int  # kinematic states: 3, 6, 9, 9, 9
+    horizontal: float  # PSD of the driving noise per horizontal axis (Singer: variance of the acceleration,
+    # "current": that of an acceleration estimated as zero)
     vertical: float  # the same, vertical
-    tau_s: float  # Singer: correlation time
+    tau_s: float  # Singer, "current": correlation time
     bias_psd: float  # common clock: white frequency noise, m^2/s
     drift_psd: float  # common clock: random walk of the frequency, m^2/s^3
     system_bias_psd: float  # each clock by itself: random walk of the bias, m^2/s
     system_drift_psd: float  # random walk of the drift, m^2/s^3
+    a_max: float = 0.0  # "current": largest horizontal acceleration, m/s^2; vertical: in proportion of the sigmas
 
 
 @njit
@@ -65,8 +76,9 @@ def _lag(s: float) -> float:
 def motion(kind: int, dt: float, tau: float, F: F8, G: F8) -> None:
     """Transition F and unit process noise G (3, 3) of one axis over ``dt`` s: rows position, velocity, acceleration.
 
-    G is for unit spectral density of the driving noise; Singer: for unit variance of the acceleration.
-    Rows beyond the model's states are left as identity and zero.
+    G is for unit spectral density of the driving noise; Singer and "current": for unit variance of the acceleration.
+    F is that of the covariance: the state of the "current" model moves with constant acceleration (`predict`). Rows
+    beyond the model's states are left as identity and zero.
     """
     for i in range(3):
         for j in range(3):
@@ -136,8 +148,57 @@ def noise_shape(process: Process, px: float, py: float, pz: float, M: F8) -> Non
 
 
 @njit
+def current_shape(process: Process, x: F8, M: F8) -> None:
+    """Shape M (3, 3, ECEF) of the noise of the "current" model at state x: a variance per axis east, north, up."""
+    z = x[2] / (1.0 - WGS84_E2)
+    flat = math.sqrt(x[0] * x[0] + x[1] * x[1])
+    r = math.sqrt(flat * flat + z * z)
+    if r < 1.0:
+        return
+    cos_lon, sin_lon = (x[0] / flat, x[1] / flat) if flat > 0.0 else (1.0, 0.0)
+    s, c = z / r, flat / r
+    for k in range(3):
+        var, most = process.horizontal, process.a_max
+        if k == 0:
+            axis = (-sin_lon, cos_lon, 0.0)
+        elif k == 1:
+            axis = (-s * cos_lon, -s * sin_lon, c)
+        else:
+            axis = (c * cos_lon, c * sin_lon, s)
+            var, most = process.vertical, process.a_max * math.sqrt(process.vertical / process.horizontal)
+        a = abs(axis[0] * x[6] + axis[1] * x[7] + axis[2] * x[8])
+        room = max(1.0 - a / most, LEAST_ROOM) if most > 0.0 else 1.0
+        for i in range(3):
+            for j in range(3):
+                M[i, j] = var * room * room * axis[i] * axis[j] + (M[i, j] if k > 0 else 0.0)
+
+
+@njit
+def add_noise(P: F8, nk: int, nc: int, dt: float, process: Process, G: F8, M: F8) -> None:
+    """Process noise of ``dt`` s onto the leading nk + 2 nc rows and columns of P; arguments as `predict`."""
+    orders = nk // 3
+    for a in range(orders):
+        for b in range(orders):
+            for i in range(3):
+                for j in range(3):
+                    P[3 * a + i, 3 * b + j] += G[a, b] * M[i, j]
+    for k in range(nc):
+        for m in range(nc):
+            s_b, s_d = process.bias_psd, process.drift_psd
+            if k == m:
+                s_b += process.system_bias_psd
+                s_d += process.system_drift_psd
+            P[nk + k, nk + m] += s_b * dt + s_d * dt**3 / 3.0
+            P[nk + k, nk + nc + m] += s_d * dt * dt / 2.0
+            P[nk + nc + k, nk + m] += s_d * dt * dt / 2.0
+            P[nk + nc + k, nk + nc + m] += s_d * dt
+
+
+@njit
 def predict(x: F8, P: F8, nk: int, nc: int, dt: float, process: Process, F: F8, G: F8, M: F8) -> None:
     """State and covariance ``dt`` s later, in place: x = Phi x, P = Phi P Phi' + Q.
+
+    "current" model: x = Phi x + U a, a the acceleration before, which is x = Phi_1 x, that of constant acceleration.
 
     Parameters
     ----------
@@ -151,7 +212,7 @@ def predict(x: F8, P: F8, nk: int, nc: int, dt: float, process: Process, F: F8, 
     F, G : (3, 3)
         From `motion` for this dt.
     M : (3, 3)
-        From `noise_shape`.
+        From `noise_shape` or `current_shape`.
     """
     n = nk + 2 * nc
     orders = nk // 3
@@ -167,6 +228,9 @@ def predict(x: F8, P: F8, nk: int, nc: int, dt: float, process: Process, F: F8, 
             t = F[a, a] * x[r]
             for b in range(a + 1, orders):
                 t += F[a, b] * x[3 * b + i]
+            if process.kind == CURRENT:
+                constant = 0.5 * dt * dt if a == 0 else (dt if a == 1 else 1.0)
+                t += (constant - F[a, 2]) * x[6 + i]
             x[r] = t
     for k in range(nc):
         r = nk + k
@@ -184,21 +248,7 @@ def predict(x: F8, P: F8, nk: int, nc: int, dt: float, process: Process, F: F8, 
         for k in range(nc):
             r = nk + k
             P[j, r] += dt * P[j, r + nc]
-    for a in range(orders):
-        for b in range(orders):
-            for i in range(3):
-                for j in range(3):
-                    P[3 * a + i, 3 * b + j] += G[a, b] * M[i, j]
-    for k in range(nc):
-        for m in range(nc):
-            s_b, s_d = process.bias_psd, process.drift_psd
-            if k == m:
-                s_b += process.system_bias_psd
-                s_d += process.system_drift_psd
-            P[nk + k, nk + m] += s_b * dt + s_d * dt**3 / 3.0
-            P[nk + k, nk + nc + m] += s_d * dt * dt / 2.0
-            P[nk + nc + k, nk + m] += s_d * dt * dt / 2.0
-            P[nk + nc + k, nk + nc + m] += s_d * dt
+    add_noise(P, nk, nc, dt, process, G, M)
     for i in range(n):
         for j in range(i):
             s = 0.5 * (P[i, j] + P[j, i])

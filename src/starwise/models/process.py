@@ -13,11 +13,14 @@ import numpy as np
 from starwise.config import RunConfig
 from starwise.constants import C_LIGHT
 from starwise.errors import StarwiseError
-from starwise.kernels.process import ACCELERATION, SINGER, STATIC, VELOCITY, Process, motion
+from starwise.kernels.maneuver import current_variance
+from starwise.kernels.process import ACCELERATION, CURRENT, SINGER, STATIC, VELOCITY, Process, motion
 from starwise.types import F8
 
-KINDS: Final = {"static": STATIC, "velocity": VELOCITY, "acceleration": ACCELERATION, "singer": SINGER}
-ORDERS: Final = {"static": 1, "velocity": 2, "acceleration": 3, "singer": 3}
+KINDS: Final = {
+    "static": STATIC, "velocity": VELOCITY, "acceleration": ACCELERATION, "singer": SINGER, "current": CURRENT,
+}  # fmt: skip
+ORDERS: Final = {"static": 1, "velocity": 2, "acceleration": 3, "singer": 3, "current": 3}
 _AXES: Final = ("x", "y", "z")
 
 
@@ -29,6 +32,7 @@ class Motion:
         velocity      x' = v, v' = w                                w: m^2/s^3
         acceleration  x' = v, v' = a, a' = w                        w: m^2/s^5
         singer        x' = v, v' = a, a' = -a / tau + w             variance of a: m^2/s^4, w: 2 sigma^2 / tau
+        current       the same about the predicted acceleration; variance (4 - pi) / pi (a_max - |a|)^2
 
     Law: Phi(c, b) Phi(b, a) = Phi(c, a) and Q(c, a) = Phi(c, b) Q(b, a) Phi(c, b)' + Q(c, b), for any dt.
 
@@ -37,9 +41,10 @@ class Motion:
     model : str
         A key of `KINDS`.
     horizontal, vertical : float
-        Spectral density of w (Singer: variance of the acceleration) per axis, units above.
+        Spectral density of w (Singer: variance of the acceleration; "current": that of one estimated as zero) per
+        axis, units above.
     tau_s : float
-        Singer: correlation time of the acceleration, s.
+        Singer, "current": correlation time of the acceleration, s.
     velocity_sigma0, acceleration_sigma0 : float
         Standard deviations of a start about which nothing is known, m/s and m/s^2.
     """
@@ -50,6 +55,11 @@ class Motion:
     tau_s: float = 1.0
     velocity_sigma0: float = 1.0
     acceleration_sigma0: float = 1.0
+
+    @property
+    def a_max(self) -> float:
+        """Largest horizontal acceleration of the "current" model, m/s^2, else zero."""
+        return math.sqrt(self.horizontal / current_variance(0.0, 1.0)) if self.model == "current" else 0.0
 
     @property
     def nk(self) -> int:
@@ -124,6 +134,9 @@ PRESETS: Final[dict[str, Motion]] = {
     # Aircraft: turns up to 3 g (30 m/s^2, 3 sigma) that last some 10 s, in any direction.
     "aircraft": Motion("singer", 10.0**2, 10.0**2, 10.0, velocity_sigma0=300.0, acceleration_sigma0=10.0),
 }
+A_MAX: Final = {"aircraft": 30.0}
+"""Largest horizontal acceleration for the "current" model, m/s^2, by preset; of all others `A_MAX_OTHERS`."""
+A_MAX_OTHERS: Final = 4.0
 MOVING: Final = "vehicle"
 """Preset for a user of whom only that it may move is known; that of ``auto`` until somebody has looked."""
 
@@ -146,10 +159,11 @@ def motion_from(config: RunConfig) -> Motion:
         "acceleration_psd_m2_per_s3": "velocity",
         "jerk_psd_m2_per_s5": "acceleration",
         "acceleration_sigma_mps2": "singer",
-        "acceleration_tau_s": "singer",
+        "acceleration_tau_s": "singer or current",
+        "acceleration_max_mps2": "current",
     }
     for key, owner in of_model.items():
-        if getattr(p, key) is not None and owner != model:
+        if getattr(p, key) is not None and model not in owner.split(" or "):
             raise StarwiseError(
                 f"'process.{key}' belongs to another process model",
                 found=f"model {model} (dynamics {config.dynamics})",
@@ -162,6 +176,7 @@ def motion_from(config: RunConfig) -> Motion:
             "velocity": PRESETS["pedestrian"],
             "acceleration": Motion("acceleration", 1.0, 0.1, acceleration_sigma0=1.0),
             "singer": PRESETS["vehicle"],
+            "current": _current(m if m.model == "singer" else PRESETS["vehicle"], A_MAX.get(config.dynamics)),
         }[model]
         m = replace(
             fallback,
@@ -172,18 +187,25 @@ def motion_from(config: RunConfig) -> Motion:
         "velocity": p.acceleration_psd_m2_per_s3,
         "acceleration": p.jerk_psd_m2_per_s5,
         "singer": None if p.acceleration_sigma_mps2 is None else p.acceleration_sigma_mps2**2,
+        "current": None if p.acceleration_max_mps2 is None else current_variance(0.0, p.acceleration_max_mps2),
     }[model]
     if strength is not None:
         # One number is given: the horizontal one; the vertical keeps the preset's proportion to it.
         share = m.vertical / m.horizontal if m.horizontal > 0.0 else 1.0
         m = replace(m, horizontal=strength, vertical=strength * share)
-    if model == "singer":
+    if model in ("singer", "current"):
         m = replace(
             m,
             tau_s=p.acceleration_tau_s or m.tau_s,
             acceleration_sigma0=math.sqrt(max(m.horizontal, m.vertical)),
         )
     return m
+
+
+def _current(like: Motion, a_max: float | None) -> Motion:
+    """The "current" model with the correlation time of a Singer model, and its proportion of vertical to horizontal."""
+    h = current_variance(0.0, a_max or A_MAX_OTHERS)
+    return replace(like, model="current", horizontal=h, vertical=h * like.vertical / like.horizontal)
 
 
 def clocks_from(config: RunConfig) -> Clocks:
@@ -209,11 +231,14 @@ def process_numbers(motion_model: Motion, clocks: Clocks) -> Process:
         drift_psd=clocks.drift_psd,
         system_bias_psd=clocks.system_bias_psd,
         system_drift_psd=clocks.system_drift_psd,
+        a_max=motion_model.a_max,
     )
 
 
 def matrices(motion_model: Motion, clocks: Clocks, n_clocks: int, dt_s: float, up: F8 | None = None) -> tuple[F8, F8]:
     """Phi and Q (n, n) over ``dt_s``, states position, velocity, acceleration, clock biases, clock drifts (ECEF, SI).
+
+    Of the "current" model: those of the covariance, about an acceleration of zero.
 
     Parameters
     ----------
@@ -249,7 +274,7 @@ def driving(motion_model: Motion, clocks: Clocks, n_clocks: int) -> tuple[F8, F8
     A1, W1 = np.zeros((order, order)), np.zeros((order, order))
     A1[np.arange(order - 1), np.arange(1, order)] = 1.0
     W1[-1, -1] = motion_model.horizontal
-    if motion_model.model == "singer":
+    if motion_model.model in ("singer", "current"):
         A1[-1, -1] = -1.0 / motion_model.tau_s
         W1[-1, -1] = 2.0 * motion_model.horizontal / motion_model.tau_s
     nk, n = motion_model.nk, motion_model.nk + 2 * n_clocks
