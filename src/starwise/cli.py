@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from starwise import cli_assess, cli_batch, cli_calibrate, cli_export, cli_fuse, cli_sim, cli_solve
+from starwise import cli_assess, cli_batch, cli_calibrate, cli_export, cli_fuse, cli_report, cli_sim, cli_solve
 from starwise.cli_examples import epilog
 from starwise.errors import StarwiseError
 from starwise.terminal import Json
@@ -127,6 +127,7 @@ def warmup() -> None:
 
 
 cli_fuse.register(app)
+cli_report.register(app)
 cli_sim.register(app)
 cli_calibrate.register(app)
 

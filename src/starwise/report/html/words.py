@@ -148,9 +148,9 @@ def readouts(solution: Solution, stats: Mapping[str, Any] | None, nis: Mapping[s
                 percent(int(solved.sum()), solution.n_epochs))
     ]  # fmt: skip
     if stats is not None:
-        three = stats.get("rms_3d_m") is not None
-        out.append(Readout("error, RMS " + ("3D" if three else "2D"), number(stats["rms_3d_m" if three else "rms_2d_m"]),
-                           "m", f"95 %: {number(stats['p95_3d_m' if three else 'p95_2d_m'])} m"))  # fmt: skip
+        of = "3d" if stats.get("rms_3d_m") is not None else "2d"
+        note = f"95 %: {number(stats[f'p95_{of}_m'])} m"
+        out.append(Readout(f"error, RMS {of.upper()}", number(stats[f"rms_{of}_m"]), "m", note))
     elif s.get("scatter_enu_m"):
         e, n, u = s["scatter_enu_m"]
         out.append(Readout("spread about the mean", number(float(np.sqrt(e * e + n * n + u * u))), "m",
@@ -186,20 +186,23 @@ def checks(
     for key, what in (("consistency", "Consistency"), ("observability", "Observability"), ("stability", "Stability")):
         part = (assessment or {}).get(key)
         if isinstance(part, Mapping) and part.get("verdict"):
-            out.append(Check(_level(str(part["verdict"])), what, str(part["verdict"])))
+            verdict = str(part["verdict"])
+            level = _level(str(part.get("grade") or verdict), verdict)
+            out.append(Check(level, what, verdict[:1].upper() + verdict[1:] + "."))
     wrong = sum(int(item.get("count", 0)) for item in solution.provenance.get("problems", ()))
     if wrong:
         out.append(Check("caution", "Inputs", f"{wrong} defects in the files were found and dealt with; listed below."))
     return out
 
 
-def _level(verdict: str) -> str:
-    text = verdict.lower()
-    bad = ("not observable", "unstable", "over", "optimistic", "wrong", "inconsistent", "too small", "divergen")
-    good = ("observable", "stable", "consistent", "confirmed", "honest", "ok")
-    if any(word in text for word in bad):
+def _level(grade: str, verdict: str) -> str:
+    """Level of a finding: bad where it is unsafe, caution where it only is not as it should be."""
+    first, text = grade.lower(), verdict.lower()
+    if first == "unknown" or "not judged" in text:
+        return "unknown"
+    if any(word in text for word in ("too small", "unstable", "not observable", "diverg", "optimistic", "wrong")):
         return "bad"
-    return "good" if any(text.startswith(word) for word in good) else "caution"
+    return "good" if first.startswith(("consistent", "observable", "stable", "asymptotically")) else "caution"
 
 
 def _epochs(solution: Solution) -> list[Check]:
@@ -245,12 +248,15 @@ def _innovations(solution: Solution, nis: Mapping[str, Any] | None, rho: Mapping
         text = (
             f"NIS is {number(mean)} per degree of freedom, {100 * nis['inside']:.0f} % of windows inside their bounds. "
         )
+        uneven = nis["inside"] < 0.5
         if mean > max(high, 1.3):
             out.append(Check("bad", what, text + "They are larger than the covariance says: it is too small."))
         elif mean > high:
             out.append(Check("caution", what, text + "They are slightly larger than the covariance says."))
         elif mean < 0.5:
             out.append(Check("caution", what, text + "They are much smaller than the covariance says: it is cautious."))
+        elif uneven:
+            out.append(Check("caution", what, text + "As small as the covariance says on average, not at all times."))
         else:
             out.append(Check("good", what, text + "They are as small as the covariance says."))
     if rho is not None and not lsq:

@@ -205,9 +205,9 @@ function hideTip() { tip.classList.remove("on"); }
 function epochLines(i) {
   const flag = E.statuses[E.status[i]];
   const out = [clock(times[i], false) + (flag === "ok" ? "" : `  ${flag}`)];
-  if (!S) { if (E.n_used[i]) out.push(`${E.n_used[i]} satellites used`); return out; }
+  if (!S) { if (E.n_used[i]) out.push(`${E.n_used[i]} satellites ${USED}`); return out; }
   const ledger = ledgerAt(E.index[i]);
-  out.push(`${ledger.used.length} of ${ledger.n} satellites used`);
+  out.push(`${ledger.used.length} of ${ledger.n} satellites ${USED}`);
   const names = Object.keys(ledger.refused).sort((a, b) => (kindOf(a) === "test" ? -1 : 0) - (kindOf(b) === "test" ? -1 : 0));
   for (const name of names.slice(0, 4)) {
     const list = ledger.refused[name];

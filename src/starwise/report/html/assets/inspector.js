@@ -58,7 +58,7 @@ function updateInspector() {
   if (E.nis && E.dof[i]) value(list, "NIS / dof", `${num(E.nis[i] / E.dof[i])} (${E.dof[i]})`);
   if (!S) { if (E.n_used[i]) value(list, "satellites", String(E.n_used[i])); return; }
   const ledger = ledgerAt(full);
-  value(list, "satellites", `${ledger.used.length} used of ${ledger.n}`);
+  value(list, "satellites", `${ledger.used.length} ${USED} of ${ledger.n}`);
   for (let s = 0; s < chips.length; s++) {
     const name = statusAt(s, full);
     chips[s].className = "chip " + (name === null ? "gone" : "k-" + kindOf(name)) + (s === state.sv ? " on" : "");
@@ -75,7 +75,7 @@ function updateInspector() {
   one.replaceChildren();
   if (state.sv < 0) return;
   const s = state.sv, k = cellAt(s, full), dl = el("dl", {}), name = statusAt(s, full);
-  value(dl, "now", name === null ? "not tracked" : name === "used" ? "used" : reason(name));
+  value(dl, "now", name === null ? "not tracked" : name === "used" ? USED : reason(name));
   if (k >= 0 && S.el && finite(elevation(k))) value(dl, "elevation, azimuth", `${elevation(k).toFixed(1)}°  ${((azimuth(k) + 360) % 360).toFixed(1)}°`);
   if (k >= 0 && S.cn0 && S.cn0[k]) value(dl, "C/N0, dBHz", (S.cn0[k] / 4).toFixed(1));
   if (k >= 0 && S.v && finite(S.v[k])) value(dl, D.word + ", m", `${num(S.v[k])}  (${num(vn(k), 2)} σ)`);

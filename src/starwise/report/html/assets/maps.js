@@ -237,7 +237,7 @@ const skySpec = () => ({
 });
 function cellLines(s, k) {
   const name = statusName(k), out = [`${S.names[s]}  ${clock(cellTime[k])}`];
-  out.push(name === "used" ? "used" : `not used: ${reason(name)}`);
+  out.push(name === "used" ? USED : `not used: ${reason(name)}`);
   const parts = [];
   if (S.el && finite(elevation(k))) parts.push(`elevation ${elevation(k).toFixed(1)}°  azimuth ${((azimuth(k) + 360) % 360).toFixed(0)}°`);
   if (S.cn0 && S.cn0[k]) parts.push(`C/N0 ${(S.cn0[k] / 4).toFixed(1)} dBHz`);
@@ -245,7 +245,7 @@ function cellLines(s, k) {
   return out.concat(parts);
 }
 
-const KIND_NAMES = { used: "used", test: "refused by a test", mask: "below a mask", ephemeris: "ephemeris missing or bad", health: "unhealthy", other: "not asked for, or no data" };
+const KIND_NAMES = Object.assign({ used: "used", test: "refused by a test", mask: "below a mask", ephemeris: "ephemeris missing or bad", health: "unhealthy", other: "not asked for, or no data" }, D.kind_names || {});
 const KIND_ORDER = ["used", "other", "mask", "ephemeris", "health", "test"];
 // satellites in the order of systems; those never used last within each
 function rowOrder() {
@@ -290,7 +290,7 @@ const availabilitySpec = () => ({
     const a = p.axes(1), r = Math.round(a.y.p2l(py - a.y._offset)), s = rowOrder().list[rowOrder().list.length - 1 - r];
     if (s === undefined) return null;
     const i = nearest(a.x.p2l(px - a.x._offset)), name = statusAt(s, E.index[i]), k = cellAt(s, E.index[i]);
-    const lines = k >= 0 ? cellLines(s, k) : [`${S.names[s]}  ${clock(times[i])}`, name === null ? "not tracked" : name === "used" ? "used" : `not used: ${reason(name)}`];
+    const lines = k >= 0 ? cellLines(s, k) : [`${S.names[s]}  ${clock(times[i])}`, name === null ? "not tracked" : name === "used" ? USED : `not used: ${reason(name)}`];
     const e = epochLines(i);
     return { epoch: i, sv: s, lines: lines.concat(e.slice(1, 2)) };
   },

@@ -175,7 +175,7 @@ const cdfSpec = () => ({
     layout.xaxis = axis({ range: [0, Math.min(most, p95 * 2) * 1.03], rangemode: "tozero", nticks: 7 });
     layout.yaxis = axis({ range: [0, 101], nticks: 6, ticksuffix: " %", fixedrange: true });
     layout.shapes.push({ type: "line", xref: "paper", x0: 0, x1: 1, y0: 95, y1: 95, line: { color: css("--axis"), width: 1, dash: "dot" } });
-    layout.annotations.push(label("<b>share of epochs</b> over the error, m   " + CURVES().filter(([n]) => C[n]).map(([n, c]) => `<span style="color:${c}">${n}</span>`).join("  "), 1));
+    layout.annotations.push(label("<b>share</b> over the error, m   " + CURVES().filter(([n]) => C[n]).map(([n, c]) => `<span style="color:${c}">${n}</span>`).join("  "), 1));
     return { data, layout };
   },
   hover: plainHover((x) => [`error at most ${num(x)} m`].concat(CURVES().filter(([n]) => T.cdf[n]).map(([n]) => { const k = below(T.cdf[n], x, 0, T.cdf.share.length); return `${n}: ${k < 0 ? 0 : Math.round(T.cdf.share[k] * 100)} %`; }))),

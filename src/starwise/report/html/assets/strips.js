@@ -71,9 +71,9 @@ function strips(make, options) {
   return {
     time: true, shared: true, rows: o.rows, get: () => { rows = null; return get(); },
     height: (w) => Math.round((w < 560 ? 118 : o.row || 130) * o.rows + 34),
-    build() {
+    build(p) {
       rows = null;
-      const list = get(), n = list.length, data = [], gap = 0.05;
+      const list = get(), n = list.length, data = [], gap = 24 / Math.max(60, p.size().height - 54);
       const layout = base({ shapes: flagShapes() });
       layout.margin.t = 20;
       const tall = (1 - gap * (n - 1)) / n;
@@ -153,7 +153,7 @@ const claimedSpec = () => strips(() => [{ title: "1σ", unit: "m", range: [0, ro
 function geometrySpec() {
   const n = D.has_count === false ? 0 : 1;
   return strips(() => {
-    const rows = [{ title: "satellites used", unit: "", digits: 2, rangemode: "tozero", range: [0, Math.max(4, ...E.n_used) * 1.12],
+    const rows = [{ title: "satellites " + USED, unit: "", digits: 2, rangemode: "tozero", range: [0, Math.max(4, ...E.n_used) * 1.12],
       series: [{ name: "used", y: Float64Array.from(E.n_used), colour: colour.accent(), shape: "hv" }] }];
     if (E.dop) {
       const log = robust(E.dop, 0, 0.995)[1] > 12;
