@@ -13,7 +13,6 @@ import numpy as np
 from starwise.config import RunConfig
 from starwise.constants import C_LIGHT
 from starwise.errors import StarwiseError
-from starwise.kernels.maneuver import current_variance
 from starwise.kernels.process import ACCELERATION, CURRENT, SINGER, STATIC, VELOCITY, Process, motion
 from starwise.types import F8
 
@@ -22,6 +21,8 @@ KINDS: Final = {
 }  # fmt: skip
 ORDERS: Final = {"static": 1, "velocity": 2, "acceleration": 3, "singer": 3, "current": 3}
 _AXES: Final = ("x", "y", "z")
+RAYLEIGH: Final = (4.0 - math.pi) / math.pi
+"""Variance of the "current" model over a_max squared, where the acceleration is estimated as zero."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Motion:
     @property
     def a_max(self) -> float:
         """Largest horizontal acceleration of the "current" model, m/s^2, else zero."""
-        return math.sqrt(self.horizontal / current_variance(0.0, 1.0)) if self.model == "current" else 0.0
+        return math.sqrt(self.horizontal / RAYLEIGH) if self.model == "current" else 0.0
 
     @property
     def nk(self) -> int:
@@ -187,7 +188,7 @@ def motion_from(config: RunConfig) -> Motion:
         "velocity": p.acceleration_psd_m2_per_s3,
         "acceleration": p.jerk_psd_m2_per_s5,
         "singer": None if p.acceleration_sigma_mps2 is None else p.acceleration_sigma_mps2**2,
-        "current": None if p.acceleration_max_mps2 is None else current_variance(0.0, p.acceleration_max_mps2),
+        "current": None if p.acceleration_max_mps2 is None else RAYLEIGH * p.acceleration_max_mps2**2,
     }[model]
     if strength is not None:
         # One number is given: the horizontal one; the vertical keeps the preset's proportion to it.
@@ -204,7 +205,7 @@ def motion_from(config: RunConfig) -> Motion:
 
 def _current(like: Motion, a_max: float | None) -> Motion:
     """The "current" model with the correlation time of a Singer model, and its proportion of vertical to horizontal."""
-    h = current_variance(0.0, a_max or A_MAX_OTHERS)
+    h = RAYLEIGH * (a_max or A_MAX_OTHERS) ** 2
     return replace(like, model="current", horizontal=h, vertical=h * like.vertical / like.horizontal)
 
 
