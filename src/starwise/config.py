@@ -18,6 +18,7 @@ from starwise.checked import Range as Range
 from starwise.checked import merged, nested, with_line
 from starwise.checked import read_toml as read_toml
 from starwise.config_errors import ErrorParameters
+from starwise.config_noise import MeasurementNoise
 from starwise.constants import SYSTEMS
 from starwise.errors import StarwiseError
 from starwise.gnsstime import parse_time
@@ -117,6 +118,7 @@ class RunConfig(Checked):
     """Start the estimator anew after every so many seconds; None: once. For runs to be pooled in ``assess``."""
     process: ProcessNoise = field(default_factory=ProcessNoise)
     clock: ClockNoise = field(default_factory=ClockNoise)
+    noise: MeasurementNoise = field(default_factory=MeasurementNoise)
     errors: ErrorParameters = field(default_factory=ErrorParameters)
 
     def __post_init__(self) -> None:

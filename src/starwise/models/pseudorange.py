@@ -72,9 +72,9 @@ EPHEMERIS_BEST_CLAIM_M = np.array([2.5, 5.0, 3.2, 2.5, 2.5, 2.5, 5.0])
 """Claims up to here, m, are the best index that a system broadcasts (URA 0: 2.4 m, IS-GPS-200N 20.3.3.3.1.3;
 SISA 3.12 m, the only value that Galileo uses; 5 m stands for none): bounds for integrity, above the real error.
 What a claim, or the age of a record, has beyond that is added in variance."""
-CODE_SIGMA_M = {SYS_R: 0.8}
-"""Code noise and multipath at the zenith and 45 dB-Hz, m; 0.4 m elsewhere. GLONASS chips are twice as long as those of
-GPS C/A (0.511 against 1.023 Mchip/s)."""
+CODE_NOISE_FACTOR = {SYS_R: 2.0}
+"""Code noise and multipath as a multiple of ``noise.code_m``: GLONASS chips are twice as long as those of GPS C/A (0.511
+against 1.023 Mchip/s)."""
 
 
 TROPOSPHERE = {"none": TROPO_NONE, "seasonal": TROPO_SEASONAL, "saastamoinen": TROPO_SAASTAMOINEN}
@@ -317,9 +317,9 @@ def model_options(config: RunConfig, ionosphere: IonosphereModel) -> tuple[Model
             notes.append("no broadcast ionosphere coefficients: no ionosphere correction, sigmas widened")
         if beidou is not None:
             model[SYS_C], coef[SYS_C] = IONO_BDS, beidou
-    code_sigma = np.full(N_SYSTEMS, 0.4)
-    for index, value in CODE_SIGMA_M.items():
-        code_sigma[index] = value
+    code_sigma = np.full(N_SYSTEMS, config.noise.code_m)
+    for index, factor in CODE_NOISE_FACTOR.items():
+        code_sigma[index] *= factor
     options = ModelOptions(
         mask_rad=math.radians(config.mask_deg),
         cn0_min_dbhz=config.cn0_min_dbhz,
@@ -327,7 +327,7 @@ def model_options(config: RunConfig, ionosphere: IonosphereModel) -> tuple[Model
         iono_coef=coef,
         troposphere=TROPOSPHERE[config.troposphere],
         code_sigma=code_sigma,
-        rate_sigma=0.1,
+        rate_sigma=config.noise.rate_mps,
         fixed_code_sigma_m=0.0,
         fixed_rate_sigma_mps=0.0,
     )
