@@ -73,8 +73,8 @@ EPHEMERIS_BEST_CLAIM_M = np.array([2.5, 5.0, 3.2, 2.5, 2.5, 2.5, 5.0])
 SISA 3.12 m, the only value that Galileo uses; 5 m stands for none): bounds for integrity, above the real error.
 What a claim, or the age of a record, has beyond that is added in variance."""
 CODE_NOISE_FACTOR = {SYS_R: 2.0}
-"""Code noise and multipath as a multiple of ``noise.code_m``: GLONASS chips are twice as long as those of GPS C/A (0.511
-against 1.023 Mchip/s)."""
+"""Code noise and multipath as a multiple of ``noise.code_m``: GLONASS chips are twice as long as those of GPS C/A
+(0.511 against 1.023 Mchip/s)."""
 
 
 TROPOSPHERE = {"none": TROPO_NONE, "seasonal": TROPO_SEASONAL, "saastamoinen": TROPO_SAASTAMOINEN}
