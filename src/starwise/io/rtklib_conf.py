@@ -174,6 +174,17 @@ def options_of(
     return {**imported.options, **options}, [*notes, *imported.notes, *imported.of_orbits(files)]
 
 
+def values_of(path: str | Path) -> dict[str, str]:
+    """Values of an options file of RTKLIB by key, as they are written.
+
+    Raises
+    ------
+    StarwiseError
+        Not such a file.
+    """
+    return {key: entry.value for key, entry in _entries(path).items()}
+
+
 def _entries(path: str | Path) -> dict[str, _Entry]:
     text = read_bytes(path).decode("latin-1").removeprefix("\xef\xbb\xbf")
     entries: dict[str, _Entry] = {}
