@@ -10,7 +10,7 @@ import typer
 from starwise import cli_assess, cli_batch, cli_calibrate, cli_export, cli_fuse, cli_report, cli_sim, cli_solve
 from starwise.cli_examples import epilog
 from starwise.errors import StarwiseError
-from starwise.terminal import Json
+from starwise.terminal import Json, NoReport
 from starwise.terminal import Progress as _Progress
 from starwise.terminal import show as _print
 from starwise.terminal import show_json as _print_json
@@ -100,13 +100,14 @@ def demo(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Directory for the results.")] = Path(
         "starwise-demo"
     ),
+    no_report: NoReport = False,
     as_json: Json = False,
 ) -> None:
     """The main job on a simulated drive in a town, judged against its truth."""
     from starwise.demo import run_demo
 
     with _Progress(as_json) as progress:
-        outcome = run_demo(output, progress)
+        outcome = run_demo(output, progress, not no_report)
     if as_json:
         _print_json(outcome.record)
     else:

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from starwise.errors import StarwiseError
-from starwise.terminal import Json, show, show_json
+from starwise.terminal import Json, NoReport, show, show_json
 
 
 def register(app: typer.Typer) -> None:
@@ -47,6 +47,7 @@ def assess(
         float, typer.Option(metavar="S", help="Greatest distance in time to a row of the truth.")
     ] = 0.05,
     interpolate: Annotated[bool, typer.Option("--interpolate", help="Interpolate the truth between its rows.")] = False,
+    no_report: NoReport = False,
     as_json: Json = False,
 ) -> None:
     """Errors against the truth, and whether the covariance tells them."""
@@ -73,6 +74,10 @@ def assess(
     if sessions is not None:
         raise StarwiseError("--sessions", found="without --pool", wanted="--pool, or none")
     reports = {path: api.assess(path, own, **how) for path, own in runs}
+    if not no_report:
+        from starwise.report.html import refresh_reports
+
+        refresh_reports(runs, antenna_up_m=antenna_up)
     if as_json:
         show_json(next(iter(reports.values())) if len(solutions) == 1 else reports)
         return

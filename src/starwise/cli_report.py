@@ -5,7 +5,6 @@ from typing import Annotated, Any
 
 import typer
 
-from starwise.cli_examples import epilog
 from starwise.errors import StarwiseError
 from starwise.terminal import Json, show, show_json
 
@@ -20,8 +19,8 @@ AntennaUp = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the application."""
-    app.command(epilog=epilog("report"))(report)
-    app.command(epilog=epilog("compare"))(compare)
+    app.command()(report)
+    app.command()(compare)
 
 
 def report(

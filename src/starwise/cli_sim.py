@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from starwise.errors import StarwiseError
-from starwise.terminal import Json, Progress, show, show_json
+from starwise.terminal import Json, NoReport, Progress, show, show_json
 
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Directory for the results.")]
 Runs = Annotated[int, typer.Option("--runs", metavar="N", min=1, help="Monte Carlo runs; they are resumed.")]
@@ -47,6 +47,7 @@ def simulate(
     ] = "s3ekf",
     workers: Workers = None,
     scheduler: Scheduler = None,
+    no_report: NoReport = False,
     as_json: Json = False,
 ) -> None:
     """RINEX files, inertial data and the truth out of a scenario.
@@ -68,6 +69,7 @@ def simulate(
             workers=workers,
             progress=progress,
             scheduler=scheduler,
+            report=not no_report,
         )
     if as_json:
         show_json(record)
@@ -103,6 +105,7 @@ def reproduce(
     ] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
+    no_report: NoReport = False,
     as_json: Json = False,
 ) -> None:
     """Results of a paper, beside its own figures: tables, figures and a report."""
@@ -112,13 +115,30 @@ def reproduce(
         raise StarwiseError("no such folder", file=data)
     if paper == "rdss_sins":
         _rdss_sins(output, runs, seed, workers, scheduler, as_json)
-        return
-    if paper == "adaptive_federated":
+    elif paper == "adaptive_federated":
         _adaptive_federated(output, runs, seed, workers, scheduler, as_json)
-        return
-    if paper == "stability":
+    elif paper == "stability":
         _stability(output, runs, seed, workers, scheduler, as_json)
-        return
+    else:
+        _s3ekf(output, runs, seed, data, workers, scheduler, as_json)
+    if not no_report:
+        from starwise.report.html import write_study
+
+        page = write_study(output, paper)
+        if not as_json:
+            show(f"In a browser:     {page}")
+
+
+def _s3ekf(
+    output: Path,
+    runs: int,
+    seed: int | None,
+    data: Path | None,
+    workers: int | None,
+    scheduler: str | None,
+    as_json: bool,
+) -> None:
+    """Sequential square-root-free filter (S3EKF)."""
     from starwise.studies.s3ekf import reproduce_s3ekf
 
     with Progress(as_json) as progress:

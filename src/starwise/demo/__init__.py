@@ -28,7 +28,9 @@ class Outcome:
     record: dict[str, Any]
 
 
-def run_demo(directory: str | Path, progress: Callable[[str, float], None] | None = None) -> Outcome:
+def run_demo(
+    directory: str | Path, progress: Callable[[str, float], None] | None = None, report: bool = True
+) -> Outcome:
     """Simulate a drive, solve its files and assess the solutions.
 
     Parameters
@@ -36,6 +38,8 @@ def run_demo(directory: str | Path, progress: Callable[[str, float], None] | Non
     directory : path-like
         Where the results go: the simulation's files, a directory per method, and a picture of the track.
     progress : callable, optional
+    report : bool
+        Write ``report.html``: the solution against its truth.
 
     Raises
     ------
@@ -71,6 +75,7 @@ def run_demo(directory: str | Path, progress: Callable[[str, float], None] | Non
             output=folder / method,
             progress=lambda what, part, i=i: say(what, (1 + i + part) / (1 + len(METHODS))),  # type: ignore[misc]
             method=method,
+            report=False,
         )
         reports[method] = api.assess(solution, truth)
     picture = folder / "track.svg"
@@ -79,6 +84,11 @@ def run_demo(directory: str | Path, progress: Callable[[str, float], None] | Non
         picture.write_text(track_svg(shown, truth, title=f"{SCENARIO}, {METHODS[-1]}"), encoding="utf-8")
     except OSError as error:
         raise StarwiseError(f"cannot be written ({error.strerror})", file=picture) from None
+    if report:
+        from starwise.report.html import write_report
+
+        say("report", 0.98)
+        page = write_report(folder / METHODS[-1], truth, folder / "report.html", title=SCENARIO)
     say("done", 1.0)
     text = solve_text(shown.provenance, folder / METHODS[-1], time.perf_counter() - began)
     record = {
@@ -88,8 +98,10 @@ def run_demo(directory: str | Path, progress: Callable[[str, float], None] | Non
         "simulated": {kind: str(path) for kind, path in files.items()},
         "assessment": reports,
     }
+    if report:
+        record["report"] = str(page)
     head = [f"simulated     {SCENARIO} (seed {scenario.seed}): {scenario.description}"]
-    return Outcome("\n".join([*head, text, "", *_table(reports), "", *_where(folder)]), record)
+    return Outcome("\n".join([*head, text, "", *_table(reports), "", *_where(folder, report)]), record)
 
 
 def _table(reports: dict[str, dict[str, Any]]) -> list[str]:
@@ -115,9 +127,10 @@ def _cell(value: float | int | None) -> str:
     return f"{value:12d}" if isinstance(value, int) else f"{value:12.3f}"
 
 
-def _where(folder: Path) -> list[str]:
+def _where(folder: Path, report: bool) -> list[str]:
     last = METHODS[-1]
     files = (
+        *([("report.html", "everything about it, in any browser: begin here")] if report else []),
         ("track.svg", "the track and its errors, in any browser"),
         (f"{last}/solution.pos", "for RTKPLOT and other readers of RTKLIB files"),
         (f"{last}/ledger.parquet", "why each satellite was used or refused"),

@@ -7,14 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from starwise._version import __version__
+from starwise.constants import ROW_EXCLUDED, ROW_USED
 from starwise.errors import StarwiseError
-from starwise.sim.run import Simulator
+from starwise.sim.run import Simulation, Simulator
 from starwise.sim.scenario import load_scenario
 from starwise.sim.writers import write_files
 from starwise.studies.accuracy_runs import METHODS, AccuracyTask, natural_config, navigation_of
 from starwise.studies.montecarlo import Progress, run_many
+from starwise.types import Solution
 
 if TYPE_CHECKING:
     import polars as pl
@@ -29,6 +32,7 @@ def simulate_files(
     workers: int | None = None,
     progress: Progress | None = None,
     scheduler: str | None = None,
+    report: bool = True,
 ) -> dict[str, Any]:
     """Files of run 0 of a scenario and, with more than one run, the errors of all of them.
 
@@ -93,9 +97,57 @@ def simulate_files(
         )
         record["files"]["montecarlo"] = "montecarlo.parquet"
         record["montecarlo"] = [_summary(table, method) for method in methods]
+    if report:
+        from starwise.report.html import simulation_page, write_page
+
+        record["files"]["report"] = "report.html"
+        page = simulation_page(truth_as_solution(simulation), chosen.to_dict(), record)
+        write_page(page, Path(output) / "report.html")
     _write_json(record, Path(output) / "run.json")
     say("done", 1.0)
     return record
+
+
+def truth_as_solution(simulation: Simulation) -> Solution:
+    """Antenna, body and satellites in view of a simulation as a solution without errors, for pictures.
+
+    The ledger has a row per epoch and light path: ``used``, or ``excluded`` where a fault acts on its code or rate.
+    """
+    truth, obs = simulation.truth, simulation.observations
+    n, paths, rows = len(truth.t_ns), truth.paths, truth.rows
+    nothing = np.full((n, 3, 3), np.nan)
+    cn0 = np.full(len(paths.sv), np.nan)
+    cn0[rows.path[::-1]] = obs.cn0_dbhz[::-1]  # of several signals the first
+    faulty = np.zeros(len(paths.sv), dtype=bool)
+    faulty[rows.path[(rows.code_fault_m != 0.0) | (rows.rate_fault_mps != 0.0)]] = True
+    order = np.lexsort((paths.sv, paths.epoch))
+    ledger: dict[str, NDArray[Any]] = {
+        "t_ns": truth.t_ns[paths.epoch[order]],
+        "sv": paths.sv[order],
+        "status": np.where(faulty[order], ROW_EXCLUDED, ROW_USED).astype(np.uint8),
+        "elevation_rad": paths.elevation[order],
+        "azimuth_rad": paths.azimuth[order],
+        "cn0_dbhz": cn0[order],
+    }
+    roll, pitch, yaw = np.degrees(truth.euler).T
+    return Solution(
+        t_ns=truth.t_ns,
+        status=np.zeros(n, dtype=np.uint8),
+        pos_e=truth.pos_e,
+        vel_e=truth.vel_e,
+        cov_pos=nothing,
+        cov_vel=nothing,
+        clock_m=np.empty((n, 0)),
+        drift_mps=np.empty((n, 0)),
+        clock_sigma_m=np.empty((n, 0)),
+        clock_names=(),
+        n_used=truth.visible.astype(np.int32),
+        dop=np.full((n, 4), np.nan),
+        nis=np.full(n, np.nan),
+        dof=np.zeros(n, dtype=np.int32),
+        ledger=ledger,
+        extra={"roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw},
+    )
 
 
 def _summary(table: "pl.DataFrame", method: str) -> dict[str, Any]:

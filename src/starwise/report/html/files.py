@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ def write_page(page: bytes, file: str | Path) -> Path:
     except OSError as error:
         raise StarwiseError(f"cannot be written ({error.strerror})", file=path) from None
     finally:
-        beside.unlink(missing_ok=True) if beside.exists() else None
+        beside.unlink(missing_ok=True)
     return path
 
 
@@ -82,6 +83,41 @@ def write_report(
     written = write_page(page, file)
     if place.is_dir() and written == place / REPORT:
         _noted(place / RUN)
+    return written
+
+
+def write_study(folder: str | Path, paper: str = "") -> Path:
+    """Report of a reproduced paper: its ``report.md`` and figures as ``report.html`` beside them.
+
+    Raises
+    ------
+    StarwiseError
+        There is none, or the page cannot be written.
+    """
+    from starwise.report.html.study import study_page
+
+    base = Path(folder)
+    try:
+        text = (base / "report.md").read_text(encoding="utf-8")
+    except OSError as error:
+        raise StarwiseError(f"cannot be read ({error.strerror})", file=base / "report.md") from None
+    return write_page(study_page(text, base, paper), base / REPORT)
+
+
+def refresh_reports(sources: Sequence[tuple[str, str | None]], *, antenna_up_m: float = 0.0) -> list[Path]:
+    """Reports of those of the sources that are directories of results which may be written, with their truths.
+
+    Parameters
+    ----------
+    sources : sequence of (path, truth or None)
+    antenna_up_m : float
+        See `write_report`.
+    """
+    written = []
+    for source, truth in sources:
+        folder = Path(source)
+        if (folder / RUN).is_file() and os.access(folder, os.W_OK):
+            written.append(write_report(folder, truth, antenna_up_m=antenna_up_m))
     return written
 
 
