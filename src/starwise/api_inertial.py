@@ -135,6 +135,8 @@ def _configs(
             raise StarwiseError("'method' has no such choice with --imu", found=str(method), wanted="loose | tight")
         ins_data["method"] = method
     run_data = merged(run_data, asked)
+    if run_data.get("adaptation", "none") != "none":
+        raise StarwiseError("adaptation rules are of satellite filters", found="--imu", wanted="adaptation none")
     return RunConfig.from_dict(run_data), InertialConfig.from_dict(ins_data, prefix="inertial."), set(run_data)
 
 

@@ -68,6 +68,15 @@ def solve(
             rich_help_panel=_FILES,
         ),
     ] = None,
+    adaptation: Annotated[
+        str | None,
+        typer.Option(
+            metavar="RULE",
+            help="Adapt filters to their innovations by fading, fading_improved, strong_tracking, iae_q or "
+            "sage_husa_q; with white errors also iae_r, sage_husa_r, huber, igg3. Default none.",
+            rich_help_panel=_FILTER,
+        ),
+    ] = None,
     error_model: Annotated[
         str | None,
         typer.Option(
@@ -172,6 +181,7 @@ def solve(
         "method": method,
         "share": share,
         "error_model": error_model,
+        "adaptation": adaptation,
         "systems": systems,
         "mask_deg": mask,
         "dynamics": dynamics,

@@ -33,7 +33,7 @@ TIMEOUT_S = 600.0
 PARTS = ("least-squares", "filter")
 EXTRA = ("rare", "inertial")
 """Kernels for RINEX 2 and precise ephemerides, and for inertial navigation: compiled only by ``starwise warmup``."""
-_MAIN = ("filter_run", "rinex_obs", "rinex_nav", "orbits", "select", "group_delay")
+_MAIN = ("filter_run", "row_noise", "rinex_obs", "rinex_nav", "orbits", "select", "group_delay")
 """Kernel modules that import all others that a solution from RINEX 3 and 4 needs."""
 
 
