@@ -78,7 +78,7 @@ def read_gnss_lib_py(path: str | Path) -> Solution:
         raise StarwiseError("no state estimate", file=path, line=1, wanted="gps_millis and x_rx..._m, y_rx..., z_rx...")
     middle = middles[0]
     t_ns = _times(table, path)
-    if f"x_rx{middle}_m" in table.columns:
+    if {f"{a}_rx{middle}_m" for a in "xyz"} <= set(table.columns):
         pos_e = np.column_stack([_column(table, f"{a}_rx{middle}_m", path) for a in "xyz"])
     else:
         llh = np.column_stack([_column(table, f"{a}_rx{middle}_{u}", path) for a, u in
