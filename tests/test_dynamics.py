@@ -148,6 +148,9 @@ def test_the_demo_moves_and_what_a_user_says_counts() -> None:
     assert settled(dynamics="static") == ("static", False)
     assert settled(method="lsq") == ("vehicle", False)  # has no use for it
     assert settled(process={"model": "velocity"}) == ("vehicle", False)
+    # options that least squares, by which one looks, does not have
+    assert settled(method="federated", share="G=1,R=1,E=1,C=1,J=1") == ("vehicle", True)
+    assert settled(adaptation="fading") == ("vehicle", True)
     assert motion_from(RunConfig()) == motion_from(RunConfig(dynamics="vehicle"))
     assert RunConfig().process == ProcessNoise()
 

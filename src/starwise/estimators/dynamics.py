@@ -44,8 +44,11 @@ def settle_dynamics(
     if config.method == "lsq" or config.process != ProcessNoise():
         return config.with_options({"dynamics": MOVING}), {"used": MOVING, "detected": False}
     look = config.with_options(
-        {"method": "lsq", "error_model": "white", "combination": "single", "dynamics": MOVING, "session_s": None}
-    )
+        {
+            "method": "lsq", "error_model": "white", "combination": "single", "dynamics": MOVING, "session_s": None,
+            "share": "auto", "adaptation": "none",
+        }
+    )  # fmt: skip
     try:
         prepared = prepare(obs.taken(_looked_at(obs.n_epochs)), ephemeris, ionosphere, look)
     except StarwiseError:
