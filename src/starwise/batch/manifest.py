@@ -129,8 +129,8 @@ class _Maker:
                 raise StarwiseError("'options' is not a table", found=str(options))
             if "config" in values:
                 raise StarwiseError("unknown configuration key", found="config", wanted=f"one of {', '.join(_KEYS)}")
-            for name in LISTS:
-                given = values.get(name, ())
+            for name in [name for name in LISTS if name in values]:
+                given = values[name]
                 given = (given,) if isinstance(given, str) else given
                 if isinstance(given, list | tuple):
                     values[name] = [self._place(place) for place in given]
@@ -226,8 +226,9 @@ def _truths(path: Path) -> dict[str, tuple[str, float]]:
 
 def as_toml(manifest: Manifest) -> str:
     """Manifest as TOML, options left out; what a scan found, to be kept and edited."""
-    parts = [f"# left out: {place}: {reason}" for place, reason in manifest.unpaired]
-    parts += [f"# {note}" for note in manifest.notes]
+    notes = [f"# left out: {place}: {reason}" for place, reason in manifest.unpaired]
+    notes += [f"# {note}" for note in manifest.notes]
+    parts = ["\n".join(notes)] if notes else []
     for unit in manifest.units():
         lines = ["[[unit]]", f"name = {json.dumps(unit.name)}"]
         lines += [f"{name} = {json.dumps(list(getattr(unit, name)))}" for name in LISTS if getattr(unit, name)]

@@ -140,6 +140,14 @@ def remove_files(names: tuple[str, ...], place: str) -> None:
             raise StarwiseError(f"cannot be removed ({error.strerror})", file=Path(place, name)) from None
 
 
+def remove_leftovers(place: str) -> None:
+    """Remove what a killed process left in a folder under temporary names; at a URL nothing is half-written."""
+    if is_url(place):
+        return
+    for path in Path(place).glob(".*.tmp"):
+        path.unlink(missing_ok=True)
+
+
 def sizes(names: tuple[str, ...], place: str) -> dict[str, int]:
     """Sizes of those files of a folder that are there."""
     if not is_url(place):

@@ -50,7 +50,7 @@ def _lines(row: dict[str, Any]) -> list[str]:
 
 
 def _short(name: str, width: int) -> str:
-    return name if len(name) <= width else "..." + name[3 - width :]
+    return name if len(name) <= width else name[: width - 2] + ".."
 
 
 def _wrapped(text: str) -> list[str]:

@@ -186,6 +186,7 @@ def _do_anew(work: Work, key: str, began: float) -> Done:
         shared = work.token is not None and Path(work.token).exists()
         if shared or work.token is None:
             store.remove_files((SEAL,), work.place)
+            store.remove_leftovers(work.place)
         files = write_results(solution, work.place if shared else folder)
         written = {name: path.stat().st_size for name, path in files.items()}
         row["bytes_in"] = sum(local[place].stat().st_size for place in dict.fromkeys(unit.files))
