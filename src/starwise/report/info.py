@@ -11,6 +11,7 @@ from starwise.constants import MESSAGE_NAMES, SYSTEMS
 from starwise.errors import StarwiseError
 from starwise.frames import geodetic_from_ecef
 from starwise.gnsstime import iso
+from starwise.io.foreign import kind_of
 from starwise.io.inputs import peek
 from starwise.signals import signal_name, sv_name
 from starwise.types import Observations, Problem, Solution
@@ -41,9 +42,11 @@ def describe(path: Path) -> Described:
         return {"kind": kind.kind, **readers[kind.kind](path, kind.version)}
     if kind.kind != "unknown":
         return {"kind": kind.kind, "what": f"{kind.kind} {kind.version} (known, not read)"}
-    if path.suffix.lower() in (".pos", ".parquet", ".nmea"):
+    if path.suffix.lower() in (".pos", ".parquet", ".nmea") or kind_of(path) != "pos":
         return _solution(path, "solution")
-    raise StarwiseError("not a known kind of file", file=path, wanted="RINEX, SP3, CLK, .pos or a result of starwise")
+    raise StarwiseError(
+        "not a known kind of file", file=path, wanted="RINEX, SP3, CLK, .pos, NMEA, .stat or a result of starwise"
+    )
 
 
 def _observations(path: Path, version: str) -> Described:
@@ -170,7 +173,7 @@ def _solution(path: Path, what: str) -> Described:
     from starwise.report.summary import summarise
 
     solution: Solution = read_solution(path)
-    said = ("format", "coordinates", "time", "height", "quality")
+    said = ("format", "coordinates", "time", "height", "covariance", "quality")
     form: Described = {key: solution.provenance[key] for key in said if key in solution.provenance}
     config = solution.provenance.get("config", {})
     return {"kind": "solution", "what": what, **form, "method": config.get("method"), **summarise(solution)}
