@@ -9,6 +9,7 @@ from typing import Any
 from starwise import __version__
 from starwise.analysis.accuracy import assess as assess_solution
 from starwise.analysis.accuracy import raised
+from starwise.analysis.weeks import in_one_week
 from starwise.config import RunConfig, load_config
 from starwise.errors import StarwiseError
 from starwise.io.inputs import Inputs, peek, sort_inputs
@@ -257,6 +258,10 @@ def assess(
     notes = []
     if not vertical and truth is not None:
         notes.append("heights are above the geoid: nothing vertical is compared (give --geoid)")
+    if solution.provenance.get("week") == "not in the file":
+        notes.append("the week is not in the file: that of the truth is taken")
+    if "point" in solution.provenance:
+        notes.append(f"positions are of the {solution.provenance['point']}, not of the antenna")
     return {**report, "notes": notes}
 
 
@@ -276,7 +281,10 @@ def _judged(
             raise StarwiseError("heights are ellipsoidal already; a geoid height is not to be added")
         as_truth = Truth(solution.pos_e)
         solution, vertical = replace(solution, pos_e=raised(as_truth, geoid_m).pos_e), True
-    return solution, None if truth is None else raised(truth, antenna_up_m), vertical
+    if truth is None:
+        return solution, None, vertical
+    solution, truth = in_one_week(solution, truth)
+    return solution, raised(truth, antenna_up_m), vertical
 
 
 def pool(
