@@ -50,7 +50,7 @@ class Direction:
 
 
 @dataclass(frozen=True)
-class Observability:
+class WindowObservability:
     """What a window of measurements says about the state at its beginning.
 
     Laws: W is symmetric, not negative, and adds over windows; ranks and directions do not depend on units.
@@ -148,7 +148,7 @@ def observability(
     prior: F8 | None = None,
     scale: F8 | None = None,
     tolerance: float = TOLERANCE,
-) -> Observability:
+) -> WindowObservability:
     """Observability over the window of ``count`` steps from ``first`` on; default: from ``first`` to the end.
 
     Parameters
@@ -163,9 +163,25 @@ def observability(
         Of the rank, on singular values, against the largest.
     """
     window = system.part(first, len(system) if count is None else count)
-    O = observability_matrix(window)  # noqa: E741
+    return seen_by(
+        observability_matrix(window), system.layout, first, len(window), prior=prior, scale=scale, tolerance=tolerance
+    )
+
+
+def seen_by(
+    O: F8,  # noqa: E741 - its name in every textbook
+    layout: Layout,
+    first: int,
+    count: int,
+    *,
+    prior: F8 | None = None,
+    scale: F8 | None = None,
+    tolerance: float = TOLERANCE,
+) -> WindowObservability:
+    """Observability by a matrix O (m, n) whose rows have independent errors of unit variance; as `observability`."""
+    n = len(layout)
     W = np.asarray(O.T @ O)
-    if len(O) > system.n:
+    if len(O) > n:
         O = _compressed(O)  # noqa: E741 - the same information in n rows
     if scale is not None:
         units = np.asarray(scale, dtype=np.float64)
@@ -180,22 +196,22 @@ def observability(
     even = 1.0 / np.where(length > 0.0, length, 1.0)
     s_even, V_even = _singular(O * even)
     rank = int((s_even > tolerance * s_even[0]).sum()) if s_even[0] > 0.0 else 0
-    lost = V_even[rank:].T * even[:, None] if rank < system.n else np.empty((system.n, 0))
-    ratio = np.full(system.n, np.nan)
+    lost = V_even[rank:].T * even[:, None] if rank < n else np.empty((n, 0))
+    ratio = np.full(n, np.nan)
     if prior is not None:
         ratio = np.sqrt(np.diag(_updated(np.asarray(prior), O)) / np.diag(prior))
-    return Observability(
-        layout=system.layout,
+    return WindowObservability(
+        layout=layout,
         first=first,
-        count=len(window),
+        count=count,
         gramian=W,
         scale=units,
         singular=singular,
         rank=rank,
         tolerance=tolerance,
         condition=float(s_even[0] / s_even[-1]) if s_even[-1] > 0.0 else math.inf,
-        unobservable=sparse_directions(lost, system.layout, units, [0.0] * lost.shape[1]),
-        weakest=direction(V[-1] * units, system.layout, units, float(singular[-1])),
+        unobservable=sparse_directions(lost, layout, units, [0.0] * lost.shape[1]),
+        weakest=direction(V[-1] * units, layout, units, float(singular[-1])),
         prior=prior is not None and scale is None,
         sigma_ratio=ratio,
     )
@@ -209,7 +225,7 @@ def observability_over(
     prior: F8 | None = None,
     scale: F8 | None = None,
     tolerance: float = TOLERANCE,
-) -> list[Observability]:
+) -> list[WindowObservability]:
     """Observability of all whole windows of ``count`` steps, begun at every ``every``-th step."""
     last = len(system) - count
     return [

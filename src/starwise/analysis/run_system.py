@@ -1,225 +1,39 @@
 """Linear systems of a finished run: what its filter did, epoch by epoch, as matrices, out of solution and ledger.
 
-Navigation states x (position, velocity, acceleration east, north, up; clocks and drifts of the systems) and errors e of
-the measurements that last (coloured error model; none where errors are white):
+Navigation states: position, velocity, acceleration (as the motion model has them) east, north, up; clock and drift of
+the receiver against the first system, and what the other systems' differ from it by: ``clk.G``, ``isb.E``,
+``drift.G``, ``isd.E``. Behind them the errors of the measurements that last (coloured error model; none where errors
+are white).
 
-    x_k = Phi_k x_{k-1} + w_k,   w ~ (0, Q_k);       e_k = phi_k e_{k-1} + u_k,   u ~ (0, 1 - phi_k^2), diagonal
-    z_k = H_k x_k + E_k e_k + v_k,   v ~ (0, diag r_k)
+H are the directions of the satellites, E the sizes of the errors, r white noise with what robust weights added: those
+of the filter to rounding, so that its covariances come out again (`starwise.analysis.run_window.filtered`).
 
-H are the directions of the satellites, E the sizes of the errors, r white noise with what robust weights added. The
-errors are *kept as states, all of them*, with their unit prior: nothing is approximated, and a satellite that appears
-finds its states as they are before anything is known. Observability concerns x alone: e is noise there, correlated in
-time, and `whitened` takes it out exactly, by the filter of e alone. Where the filter itself is followed (covariance,
-stability), x and e are filtered together, as in the run.
-
-What the ledger does not repeat is left out: the change of a rate with the position (1.5e-4 1/s), the excess of an
-ephemeris' own claim over the usual, adaptation rules, steps of receiver clocks, GLONASS channels.
+What the ledger does not repeat is left out: the change of a rate with the position (1.5e-4 1/s), adaptation rules,
+steps of receiver clocks, GLONASS channels.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from starwise.analysis.run_ins import InertialSystem
 from starwise.analysis.run_table import RunTable, run_table
-from starwise.analysis.stability_system import LinearSystem, Step
+from starwise.analysis.run_window import CODE, RATE, RunStep, RunWindow
 from starwise.config import RunConfig
+from starwise.constants import SYSTEMS
 from starwise.errors import StarwiseError
 from starwise.kernels.colored import START_SIGMA_M
 from starwise.kernels.error_states import EAST, N_SKY, NORTH, SIGNAL, SLOW, TROPOSPHERE, VERTICAL, ErrorModel
 from starwise.kernels.error_states import IONOSPHERE as SLANT
 from starwise.models.error_model import error_names
 from starwise.models.process import Clocks, Motion, clocks_from, matrices, motion_from
-from starwise.types import F8, I8, Layout, Solution
+from starwise.types import F8, I8, Fixes, Layout, Solution
 
-CODE, CODE2, RATE, OTHER = 0, 1, 2, 3
-"""Kinds of measurements."""
 UP: Final = np.array([0.0, 0.0, 1.0])
-
-
-@dataclass(frozen=True)
-class RunStep:
-    """One epoch of a run as a linear system; see the module.
-
-    Attributes
-    ----------
-    t_ns : int
-    Phi, Q : (n, n) float64
-    phi : (n_e,) float64
-    H, E : (m, n), (m, n_e) float64
-    r : (m,) float64
-        Variances that the filter worked with.
-    widened : (m,) float64
-        Part of them that robust weights added.
-    kind : (m,) int64
-        `CODE` ...
-    sv : (m,) int16
-        Satellite, -1: none.
-    """
-
-    t_ns: int
-    Phi: F8
-    Q: F8
-    phi: F8
-    H: F8
-    E: F8
-    r: F8
-    widened: F8
-    kind: I8
-    sv: NDArray[np.int16]
-
-
-@dataclass(frozen=True)
-class RunWindow:
-    """Consecutive epochs of a run as a linear system that begins with a filter's start.
-
-    Attributes
-    ----------
-    layout : Layout
-        Navigation states.
-    error_names : tuple of str
-        The lasting errors behind them.
-    prior : (n, n) float64
-        Covariance of the navigation states before the first epoch: that of a start about which nothing is known.
-    steps : tuple of RunStep
-    first : int
-        Epoch of the run.
-    """
-
-    layout: Layout
-    error_names: tuple[str, ...]
-    prior: F8
-    steps: tuple[RunStep, ...]
-    first: int = 0
-
-    @property
-    def duration_s(self) -> float:
-        """From the first to the last epoch, s."""
-        return (self.steps[-1].t_ns - self.steps[0].t_ns) * 1e-9
-
-    @property
-    def period_s(self) -> float:
-        """Mean time between epochs, s."""
-        return self.duration_s / max(len(self.steps) - 1, 1) or 1.0
-
-    @property
-    def n(self) -> int:
-        """Number of navigation states."""
-        return len(self.layout)
-
-    def system(self) -> LinearSystem:
-        """The same as dense matrices with all states, for the analyses of any linear system."""
-        names = Layout((*self.layout.names, *self.error_names))
-        steps = []
-        for s in self.steps:
-            n, k = self.n, len(s.phi)
-            Phi, Q = np.zeros((n + k, n + k)), np.zeros((n + k, n + k))
-            Phi[:n, :n], Q[:n, :n] = s.Phi, s.Q
-            Phi[range(n, n + k), range(n, n + k)] = s.phi
-            Q[range(n, n + k), range(n, n + k)] = 1.0 - s.phi**2
-            steps.append(Step(Phi, Q, np.concatenate([s.H, s.E], axis=1), s.r))
-        return LinearSystem(names, tuple(steps), self.period_s)
-
-    def prior_of_all(self) -> F8:
-        """Covariance of all states before the first epoch."""
-        n, k = self.n, len(self.error_names)
-        P = np.eye(n + k)
-        P[:n, :n] = self.prior
-        return P
-
-    def navigation(self) -> LinearSystem:
-        """The navigation states alone, lasting errors as white noise: for what does not depend on their memory."""
-        steps = [Step(s.Phi, s.Q, s.H, s.r + (s.E**2).sum(axis=1)) for s in self.steps]
-        return LinearSystem(self.layout, tuple(steps), self.period_s)
-
-
-@dataclass(frozen=True)
-class Belief:
-    """What a filter knows after the measurements of an epoch, and its error dynamics.
-
-    Attributes
-    ----------
-    P : (n, n) float64
-        Covariance of all states.
-    Psi : (n, n) float64
-        (I - K H) Phi.
-    """
-
-    P: F8
-    Psi: F8
-
-
-def filtered(window: RunWindow, *, widened: bool = True, dynamics: bool = False) -> Iterator[Belief]:
-    """Covariances of all states after every epoch of a window, as the filter of the run has them.
-
-    Parameters
-    ----------
-    window : RunWindow
-    widened : bool
-        With the variance that robust weights added; without it this is the Cramer-Rao bound of the model.
-    dynamics : bool
-        Also Psi of every epoch (else it is empty).
-    """
-    n, P = window.n, window.prior_of_all()
-    for s in window.steps:
-        P[:n] = s.Phi @ P[:n]
-        P[:, :n] = P[:, :n] @ s.Phi.T
-        P[n:] *= s.phi[:, None]
-        P[:, n:] *= s.phi
-        P[:n, :n] += s.Q
-        P[range(n, len(P)), range(n, len(P))] += 1.0 - s.phi**2
-        A = None
-        if len(s.r):
-            H = np.concatenate([s.H, s.E], axis=1)
-            W = H @ P
-            S = W @ H.T
-            S[range(len(S)), range(len(S))] += s.r if widened else s.r - s.widened
-            K = np.linalg.solve(S, W).T
-            P = P - K @ W
-            P = 0.5 * (P + P.T)
-            A = K @ H if dynamics else None
-        Psi = np.empty((0, 0))
-        if dynamics:
-            Psi = np.eye(len(P)) if A is None else np.eye(len(P)) - A
-            Psi[:, :n] = Psi[:, :n] @ s.Phi
-            Psi[:, n:] = Psi[:, n:] * s.phi
-        yield Belief(P, Psi)
-        P = P.copy()
-
-
-def whitened(window: RunWindow) -> F8:
-    """Observability matrix of the navigation states at the window's beginning, (sum of m, n), in units of the noise.
-
-    Rows are H_k Phi_k .. Phi_1 less what the errors before and beside them say of their error: the innovations of the
-    filter of e alone, to which the rows are data, one column each, divided by their root covariance. Without lasting
-    errors the rows of `starwise.analysis.observability.observability_matrix`. Process noise of x is left out, as in the
-    definition of the Gramian.
-    """
-    n, ne = window.n, len(window.error_names)
-    M, P, X = np.eye(n), np.eye(ne), np.zeros((ne, n))
-    blocks = []
-    for s in window.steps:
-        M = s.Phi @ M
-        P = P * np.outer(s.phi, s.phi)
-        P[range(ne), range(ne)] += 1.0 - s.phi**2
-        X = s.phi[:, None] * X
-        if not len(s.r):
-            continue
-        data = s.H @ M - s.E @ X
-        if not s.E.any():
-            blocks.append(data / np.sqrt(s.r)[:, None])
-            continue
-        W = s.E @ P
-        S = W @ s.E.T
-        S[range(len(S)), range(len(S))] += s.r
-        L = np.linalg.cholesky(S)
-        white = np.linalg.solve(L, np.concatenate([data, W], axis=1))
-        blocks.append(white[:, :n])
-        X = X + white[:, n:].T @ white[:, :n]
-        P = P - white[:, n:].T @ white[:, n:]
-    return np.concatenate(blocks) if blocks else np.zeros((0, n))
 
 
 @dataclass(frozen=True)
@@ -257,10 +71,6 @@ class RunSystem:
         given = solution.provenance.get("config")
         if not isinstance(given, Mapping) or "receivers" in solution.provenance:
             raise StarwiseError("the solution does not say how it was made", wanted="a result directory of solve")
-        if "inertial" in given:
-            raise StarwiseError(
-                "an inertial run: its system is that of its 15 states", wanted="starwise.analysis.run_ins"
-            )
         config, notes = config_of(solution)
         precise = any(item.get("kind") == "orbits" for item in solution.provenance.get("inputs", ()))
         table = run_table(solution, config, precise)
@@ -270,6 +80,11 @@ class RunSystem:
     def memoryless(self) -> bool:
         """Every epoch was solved by itself: no filter."""
         return self.config.method == "lsq"
+
+    @cached_property
+    def measured(self) -> NDArray[np.intp]:
+        """Epochs of which a measurement was used."""
+        return np.unique(self.table.epoch[self.table.used.any(axis=1)])
 
     def longest_stretch(self) -> tuple[int, int]:
         """First epoch and number of epochs of the longest part without a new start of the filter."""
@@ -282,11 +97,24 @@ class RunSystem:
 
     def window(self, first: int, count: int) -> RunWindow:
         """Epochs ``first`` to ``first + count`` (exclusive) as a linear system that begins anew."""
+        return self.changed(first, count)
+
+    @property
+    def moving(self) -> bool:
+        """The filter expects motion."""
+        return self.motion.nk > 3
+
+    def changed(self, first: int, count: int, *, rates: bool | None = None, without: str = "") -> RunWindow:
+        """As `window`, with the rates of all satellites used (True) or none (False), and without systems (letters)."""
         table = self.table
         last = min(first + count, len(table.t_ns))
         rows = np.arange(table.offsets[first], table.offsets[last])
-        rows = rows[(table.used[rows].any(axis=1)) & (table.clock[rows] >= 0)]
-        return self.build(first, last, rows, table.used[rows])
+        off = [SYSTEMS.index(letter) for letter in without]
+        rows = rows[table.used[rows].any(axis=1) & (table.clock[rows] >= 0) & ~np.isin(table.sv[rows] >> 8, off)]
+        use = table.used[rows].copy()
+        if rates is not None:
+            use[:, RATE] = use[:, CODE] & np.isfinite(table.white[rows, RATE]) & rates
+        return self.build(first, last, rows, use)
 
     def build(self, first: int, last: int, rows: NDArray[np.intp], use: NDArray[np.bool_]) -> RunWindow:
         """System of epochs ``first`` to ``last`` with chosen rows of the table and, of each, codes and rate."""
@@ -303,12 +131,14 @@ class RunSystem:
         phis = self._memory(first, last, len(satellites))
         epoch = table.epoch[rows]
         cut = np.searchsorted(epoch, np.arange(first, last + 1))
+        T = self._differences(len(letters))
         steps, t_before, made = [], int(table.t_ns[first]), {}
         for k, e in enumerate(range(first, last)):
             dt = (int(table.t_ns[e]) - t_before) * 1e-9
             t_before = int(table.t_ns[e])
             if dt not in made:
-                made[dt] = matrices(self.motion, self.clocks, len(letters), dt, UP)
+                Phi, Q = matrices(self.motion, self.clocks, len(letters), dt, UP)
+                made[dt] = Phi, T @ Q @ T.T  # Phi is the same for differences
             part = slice(cut[k], cut[k + 1])
             steps.append(
                 self._step(e, rows[part], use[part], column, slot, len(letters), n_e, made[dt], phis[k], len(names))
@@ -320,7 +150,8 @@ class RunSystem:
         """Navigation states with the clocks of some systems."""
         local = dict(zip("xyz", "enu", strict=True))
         motion = [f"{name[:-1]}{local[name[-1]]}" for name in self.motion.names]
-        return Layout((*motion, *(f"clk.{s}" for s in letters), *(f"drift.{s}" for s in letters)))
+        clocks = [f"{kind}.{s}" for pair in (("clk", "isb"), ("drift", "isd")) for kind, s in _kinds(pair, letters)]
+        return Layout((*motion, *clocks))
 
     def prior(self, n_clocks: int) -> F8:
         """Covariance of a start about which nothing is known, as the filter's."""
@@ -332,7 +163,16 @@ class RunSystem:
         a, b = slice(nk, nk + n_clocks), slice(nk + n_clocks, nk + 2 * n_clocks)
         P[a, a] = START_SIGMA_M**2 + c.intersystem_sigma0**2 * own
         P[b, b] = c.drift_sigma0**2 + c.intersystem_drift_sigma0**2 * own
-        return P
+        T = self._differences(n_clocks)
+        return np.asarray(T @ P @ T.T)
+
+    def _differences(self, n_clocks: int) -> F8:
+        """Matrix from clocks and drifts of all systems to those of the first and the others' differences from it."""
+        nk = self.motion.nk
+        T = np.eye(nk + 2 * n_clocks)
+        for block in (nk, nk + n_clocks):
+            T[block + 1 : block + n_clocks, block] = -1.0
+        return T
 
     def _step(
         self, e: int, rows: NDArray[np.intp], use: NDArray[np.bool_], column: I8, slot: I8, nc: int, n_e: int,
@@ -348,8 +188,9 @@ class RunSystem:
         rate = kind == RATE
         line = np.arange(m)
         clock = column[table.clock[at]]
-        H[line[~rate], nk + clock[~rate]] = 1.0
-        H[line[rate], nk + nc + clock[rate]] = 1.0
+        for which_kind, block in ((~rate, nk), (rate, nk + nc)):
+            H[line[which_kind], block] = 1.0
+            H[line[which_kind], block + clock[which_kind]] = 1.0
         H[line[~rate], :3] = -table.direction[at[~rate]]
         if nk > 3:
             H[line[rate], 3:6] = -table.direction[at[rate]]
@@ -395,6 +236,31 @@ class RunSystem:
         noise = np.trace(solution.cov_vel, axis1=1, axis2=2)
         return np.asarray(np.sqrt(np.maximum(np.nan_to_num((solution.vel_e**2).sum(axis=1) - noise), 0.0)))
 
+    def with_satellites(self, letter: str, epoch: I8, sv: NDArray[Any], elevation: F8, azimuth: F8) -> "RunSystem":
+        """The run as if satellites of another system had been used, too; (k,) each, elevation and azimuth in rad.
+
+        Their rows stand in the ledger with the signals that `solve` prefers, 45 dB-Hz, and the ionosphere that the
+        run's own rows have, mapped to their elevation; a rate each where the run has any.
+        """
+        from starwise.analysis.run_table import with_rows
+
+        ledger, names = with_rows(self.solution, self.config, letter, epoch, sv, elevation, azimuth)
+        k = len(names) - len(self.solution.clock_names)
+        solution = replace(
+            self.solution, ledger=ledger, clock_names=names, clock_m=_wider(self.solution.clock_m, k),
+            drift_mps=_wider(self.solution.drift_mps, k), clock_sigma_m=_wider(self.solution.clock_sigma_m, k),
+        )  # fmt: skip
+        return replace(self, solution=solution, table=run_table(solution, self.config))
+
+
+def _wider(values: F8, k: int) -> F8:
+    return np.concatenate([values, np.full((len(values), k), np.nan)], axis=1)
+
+
+def _kinds(pair: tuple[str, str], letters: list[str]) -> list[tuple[str, str]]:
+    """Names of the first system's state and of the differences of the others."""
+    return [(pair[0] if k == 0 else pair[1], letter) for k, letter in enumerate(letters)]
+
 
 def error_times(errors: ErrorModel) -> F8:
     """Correlation times of the common error states and of one satellite's, s; infinite: permanent."""
@@ -413,7 +279,6 @@ def error_times(errors: ErrorModel) -> F8:
 def config_of(solution: Solution) -> tuple[RunConfig, tuple[str, ...]]:
     """Configuration of a run out of its provenance, with the motion that was found; notes on what is not followed."""
     given: dict[str, Any] = dict(solution.provenance["config"])
-    given.pop("inertial", None)
     config = RunConfig.from_dict({key: value for key, value in given.items() if value is not None})
     used = solution.provenance.get("dynamics", {}).get("used")
     if used:
@@ -424,3 +289,26 @@ def config_of(solution: Solution) -> tuple[RunConfig, tuple[str, ...]]:
     if getattr(config, "adaptation", "none") != "none":
         notes.append(f"adaptation {config.adaptation}: not followed, the system is that without it")  # type: ignore[attr-defined]
     return config, tuple(notes)
+
+
+AnySystem = RunSystem | InertialSystem
+
+
+def system_of(solution: Solution, fixes: Fixes | None = None) -> AnySystem:
+    """System of a finished run, whatever filter made it.
+
+    Parameters
+    ----------
+    solution : Solution
+    fixes : Fixes, optional
+        Those of an inertial run with fixes: their sigmas are not in the result.
+
+    Raises
+    ------
+    StarwiseError
+        The solution does not say what was measured.
+    """
+    given = solution.provenance.get("config")
+    if isinstance(given, Mapping) and "inertial" in given:
+        return InertialSystem.of(solution, fixes)
+    return RunSystem.of(solution)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +11,11 @@ from starwise.config import RunConfig
 from starwise.constants import EPOCH_NO_SOLUTION, EPOCH_RESET, ROW_USED, SYS_R, SYSTEMS
 from starwise.errors import StarwiseError
 from starwise.kernels.colored import K_MAX
-from starwise.kernels.error_states import ErrorModel, ErrorRows
-from starwise.kernels.rangemodel import Epochs, Rows
+from starwise.kernels.error_states import SHELL_RATIO, ErrorModel, ErrorRows
+from starwise.kernels.rangemodel import F_L1, Epochs, Rows
 from starwise.models.error_model import code_biases, error_model, no_errors, second_signals, slow_sigma
 from starwise.models.pseudorange import EPHEMERIS_SIGMA_M, empty_row_model, model_options
-from starwise.signals import frequency_table
+from starwise.signals import DEFAULT_PREFERENCE, DEFAULT_SECOND, frequency_table, signal_id
 from starwise.types import F8, I8, IonosphereModel, Solution
 
 Mask = NDArray[np.bool_]
@@ -260,3 +261,51 @@ def _stretched(ledger: dict[str, NDArray[np.generic]], at: I8, second: I8, error
 def _speed2(solution: Solution) -> F8:
     """Squared speed at each epoch, (m/s)^2; 0 where not known."""
     return np.asarray(np.nan_to_num((solution.vel_e**2).sum(axis=1)))
+
+
+def with_rows(
+    solution: Solution, config: RunConfig, letter: str, epoch: I8, sv: NDArray[Any], elevation: F8, azimuth: F8
+) -> tuple[dict[str, NDArray[np.generic]], tuple[str, ...]]:
+    """Ledger with satellites of another system as if they had been used, and the names of the clocks with theirs."""
+    ledger, system = solution.ledger, SYSTEMS.index(letter)
+    first = signal_id((config.signals or {}).get(letter, DEFAULT_PREFERENCE[letter])[0])
+    second = signal_id(DEFAULT_SECOND[letter][0]) if letter in DEFAULT_SECOND else 0
+    rates = bool(np.asarray(ledger["rate_used"]).any())
+    dual = second_signals(config) and second > 0 and bool((np.asarray(ledger["sig2"]) > 0).any())
+    n = len(sv)
+    keep = np.asarray(ledger["sv"]) >> 8 != system
+    at = np.flatnonzero(np.isfinite(ledger["ionosphere_m"]) & (np.asarray(ledger["elevation_rad"]) > 0.1))
+    vertical = 0.0
+    if len(at):  # on L1, at the zenith, as the run's own rows have it
+        freq = _frequencies()[ledger["sv"][at] >> 8, ledger["sv"][at] & 255, ledger["sig"][at] >> 8]
+        slant = np.asarray(ledger["ionosphere_m"][at]) * (freq / F_L1) ** 2
+        vertical = float(np.nanmedian(slant / _mapping(np.asarray(ledger["elevation_rad"][at]))))
+    f1 = _frequencies()[system, sv & 255, first >> 8]
+    made: dict[str, NDArray[np.generic]] = {
+        "t_ns": solution.t_ns[epoch], "sv": sv.astype(np.int16), "sig": np.full(n, first, np.int16),
+        "sig2": np.full(n, second if dual else 0, np.int16), "status": np.full(n, ROW_USED, np.uint8),
+        "rate_used": np.full(n, rates), "elevation_rad": elevation, "azimuth_rad": azimuth,
+        "cn0_dbhz": np.full(n, 45.0), "ionosphere_m": vertical * _mapping(elevation) * (F_L1 / f1) ** 2,
+        "ephemeris_sigma_m": EPHEMERIS_SIGMA_M[np.full(n, system)], "group_delay_m": np.zeros(n),
+    }  # fmt: skip
+    blocks = [made]
+    if dual:
+        nan = np.full(n, np.nan)
+        other = {**made, "sig": np.full(n, second, np.int16), "sig2": np.zeros(n, np.int16), "elevation_rad": nan,
+                 "azimuth_rad": nan, "rate_used": np.zeros(n, bool), "innovation_m": np.zeros(n),
+                 "innovation_var_m2": np.zeros(n), "code_m": np.zeros(n)}  # fmt: skip
+        blocks.append(other)
+    joined = {}
+    for name, values in ledger.items():
+        blank = np.full(n, np.nan, dtype=values.dtype) if values.dtype.kind == "f" else np.zeros(n, values.dtype)
+        joined[name] = np.concatenate([values[keep], *(np.asarray(b.get(name, blank), values.dtype) for b in blocks)])
+    order = np.lexsort((joined["sv"], joined["t_ns"]))
+    names = solution.clock_names
+    shares = letter == "J" and "G" in names
+    names = names if letter in names or shares else (*names, letter)
+    return {name: values[order] for name, values in joined.items()}, names
+
+
+def _mapping(elevation: F8) -> F8:
+    """Slant over vertical ionosphere of a thin shell, as `starwise.kernels.error_states.shell_mapping`."""
+    return np.asarray(1.0 / np.sqrt(1.0 - (SHELL_RATIO * np.cos(elevation)) ** 2))

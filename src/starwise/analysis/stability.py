@@ -53,7 +53,7 @@ class Growth:
 
 
 @dataclass(frozen=True)
-class Stability:
+class ErrorDynamics:
     """Error dynamics of a filter over a run.
 
     Attributes
@@ -180,7 +180,7 @@ def stability(
     window: int | None = None,
     starts: int = 8,
     groups: tuple[str, ...] | None = None,
-) -> Stability:
+) -> ErrorDynamics:
     """Error dynamics of a filter.
 
     Parameters
@@ -228,7 +228,7 @@ def stability(
         limit = steady.spectral_radius
     elif (Psi == Psi[0]).all():
         limit = float(spectral_radii(Psi[0]))
-    return Stability(
+    return ErrorDynamics(
         layout=system.layout,
         period_s=system.period_s,
         spectral_radius=spectral_radii(Psi),

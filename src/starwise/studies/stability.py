@@ -16,7 +16,7 @@ from starwise.analysis.observability import (
     degree_by_solution,
     observability,
 )
-from starwise.analysis.stability import Stability, stability
+from starwise.analysis.stability import ErrorDynamics, stability
 from starwise.analysis.stability_controllability import (
     controllability,
     uniform_controllability,
@@ -132,7 +132,7 @@ def reproduce_stability(
     return result
 
 
-def case(scene: Scene, model: Model) -> tuple[dict[str, Any], Stability]:
+def case(scene: Scene, model: Model) -> tuple[dict[str, Any], ErrorDynamics]:
     """One of the paper's systems at a latitude: all its analyses as a record, and the error dynamics."""
     system, P0 = scene.system(model), scene.P0(model)
     N, scale = len(system), np.sqrt(np.diag(P0))
