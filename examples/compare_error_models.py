@@ -1,4 +1,4 @@
-"""The same quarter of an hour at rest with errors taken as white and as states that last: who tells the truth about itself?"""
+"""A quarter of an hour at rest, errors taken as white or as states that last: who tells the truth about itself?"""
 
 import starwise
 from starwise.estimators.run import solve_run

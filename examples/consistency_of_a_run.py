@@ -17,20 +17,16 @@ else:
         solution = starwise.solve(data / "demo_MO.rnx.gz", data / "demo_MN.rnx.gz")
 
 test = nis_test(solution.nis, np.maximum(solution.dof, 1))
-print(
-    f"NIS per degree of freedom {test.per_dof:.2f}; white innovations of claimed size: {test.low:.2f} to {test.high:.2f}"
-)
+print(f"NIS per degree of freedom {test.per_dof:.2f}; if white and as claimed {test.low:.2f} to {test.high:.2f}")
 
 ledger = solution.ledger
 used = (ledger["status"] == ROW_USED) & np.isfinite(ledger["innovation_m"])
-print("satellite  epochs  mean, m  sigma, m  claimed, m  correlation from epoch to epoch")
+print("satellite  epochs  mean, m  sigma, m  claimed, m  correlation of neighbours")
 for sv in np.unique(ledger["sv"][used]):
     at = used & (ledger["sv"] == sv)
     v, claimed = ledger["innovation_m"][at], np.sqrt(np.median(ledger["innovation_var_m2"][at]))
     if len(v) > 20:
-        rho = autocorrelation(v[:, None] - v.mean(), 1)[0]
-        print(
-            f"{sv_name(int(sv)):9} {len(v):7} {v.mean():8.2f} {v.std():9.2f} {claimed:11.2f} {float(np.ravel(rho)[0]):12.2f}"
-        )
+        rho = float(np.ravel(autocorrelation(v[:, None] - v.mean(), 1))[0])
+        print(f"{sv_name(int(sv)):9} {len(v):7} {v.mean():8.2f} {v.std():9.2f} {claimed:11.2f} {rho:12.2f}")
 solution.plot.nis(columns=2).savefig("nis.pdf")
 print("picture: nis.pdf")
