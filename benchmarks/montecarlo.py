@@ -1,6 +1,9 @@
 """Monte Carlo: 1000 runs of scenario 3 of the S3EKF paper on all cores, and the same filter by filterpy on a sample.
 
 python benchmarks/montecarlo.py [--json] [--runs 1000] [--sample 5]
+python benchmarks/montecarlo.py --table 10000 [--json]
+
+The second makes a table: 100, 1000 ... runs by one process and by one for every core: time, processor time, memory.
 
 filterpy's ExtendedKalmanFilter gets the same measurements, the same process and measurement noise and the same start;
 its callbacks h and H are vectorised numpy. The largest distance between the two trajectories is printed.
@@ -11,6 +14,10 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import os
+import resource
+import subprocess
+import sys
 import tempfile
 import time
 
@@ -122,12 +129,69 @@ def sample(count: int) -> dict[str, float]:
     }
 
 
+def measured(runs: int, workers: int) -> dict[str, float]:
+    """In a process of its own, so that its memory and its children's are of nothing else."""
+    command = [sys.executable, __file__, "--one", str(runs), str(workers)]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+
+def one(runs: int, workers: int) -> dict[str, float]:
+    own(2, 1)  # compiled code is loaded
+    before = processor_s()
+    seconds = own(runs, workers)
+    memory = [resource.getrusage(who).ru_maxrss / 1e3 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return {
+        "runs": runs,
+        "workers": workers,
+        "seconds": seconds,
+        "cpu_s": processor_s() - before,
+        "peak_MB_of_the_first": memory[0],
+        "peak_MB_of_another": memory[1],
+    }
+
+
+def processor_s() -> float:
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def table(most: int) -> list[dict[str, float]]:
+    sizes = sorted({min(most, size) for size in (100, 1000, 10_000, 100_000, most)})
+    rows = []
+    for size in sizes:
+        first = measured(size, 1)
+        rest = [measured(size, count) for count in [os.cpu_count() or 1] if count > 1]
+        rows += [{**row, "speed_up": first["seconds"] / row["seconds"]} for row in (first, *rest)]
+    return rows
+
+
+def show_table(rows: list[dict[str, float]]) -> None:
+    load = os.getloadavg()[0]
+    print(f"{SCENARIO}, S3EKF, 200 epochs a run; load of the machine at the end {load:.1f}")
+    print(f"{'runs':>7} {'processes':>9} {'s':>7} {'cpu s':>7} {'ms/run':>7} {'speed-up':>8} {'MB':>5} {'MB other':>8}")
+    for row in rows:
+        print(
+            f"{row['runs']:>7} {row['workers']:>9} {row['seconds']:>7.1f} {row['cpu_s']:>7.1f}"
+            f" {row['seconds'] / row['runs'] * 1e3:>7.2f} {row['speed_up']:>8.2f} {row['peak_MB_of_the_first']:>5.0f}"
+            f" {row['peak_MB_of_another']:>8.0f}"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--runs", type=int, default=1000)
     parser.add_argument("--sample", type=int, default=5)
+    parser.add_argument("--table", type=int, metavar="MOST")
+    parser.add_argument("--one", type=int, nargs=2, metavar=("RUNS", "WORKERS"), help=argparse.SUPPRESS)
     args = parser.parse_args()
+    if args.one:
+        print(json.dumps(one(*args.one)))
+        return
+    if args.table:
+        rows = table(args.table)
+        print(json.dumps(rows, indent=1)) if args.json else show_table(rows)
+        return
     own(2, 1)  # compiled code is loaded
     result = {"runs": args.runs, "seconds": own(args.runs), **sample(args.sample)}
     result["ratio_all_cores"] = result["filterpy_ms_per_run"] * args.runs / 1e3 / result["seconds"]

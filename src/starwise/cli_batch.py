@@ -52,11 +52,13 @@ def batch(
     from starwise.batch import read_manifest, run_batch, scan
     from starwise.batch.manifest import as_toml, with_truths
     from starwise.config import load_config
+    from starwise.spread.cluster import check_scheduler
 
     began = time.perf_counter()
     over = read_settings(settings or [])
     if output is None and not dry_run:
         raise StarwiseError("no output", wanted="--output DIR or URL, or --dry-run")
+    check_scheduler(scheduler)
     with Progress(quiet or as_json, quiet) as progress:
         if manifest.is_dir():
             units = scan(manifest, load_config(config, over), progress)

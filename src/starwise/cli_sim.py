@@ -55,8 +55,10 @@ def simulate(
     With --runs N also montecarlo.parquet: every run solved, a row per run and method with its errors. The files are
     those of run 0.
     """
+    from starwise.spread.cluster import check_scheduler
     from starwise.studies.simulating import simulate_files
 
+    check_scheduler(scheduler)
     methods = ("lsq", "ekf", "s3ekf") if method == "all" else (method,)
     began = time.perf_counter()
     with Progress(as_json) as progress:
@@ -113,6 +115,9 @@ def reproduce(
         raise StarwiseError("no such paper", found=paper, wanted=" | ".join(PAPERS))
     if data is not None and not data.is_dir():
         raise StarwiseError("no such folder", file=data)
+    from starwise.spread.cluster import check_scheduler
+
+    check_scheduler(scheduler)
     if paper == "rdss_sins":
         _rdss_sins(output, runs, seed, workers, scheduler, as_json)
     elif paper == "adaptive_federated":

@@ -23,6 +23,21 @@ _COUNT_EVERY_S: Final = 1.0
 """The number of workers is asked for no more often."""
 
 
+def check_scheduler(scheduler: str | None) -> None:
+    """See, before other work is done, that Dask is there and that this looks like a scheduler; None is none.
+
+    Raises
+    ------
+    StarwiseError
+        It is not.
+    """
+    if scheduler is None:
+        return
+    _distributed()
+    if scheduler != LOCAL and "://" not in scheduler:
+        raise StarwiseError("not the address of a scheduler", found=scheduler, wanted="tcp://HOST:PORT, or local")
+
+
 def _distributed() -> Any:
     try:
         return import_module("distributed")
@@ -41,6 +56,7 @@ def connected(scheduler: str, workers: int | None = None) -> Iterator[Client]:
     StarwiseError
         Dask is not installed; no scheduler at this address; a worker without this program, or with other sources.
     """
+    check_scheduler(scheduler)
     distributed = _distributed()
     if scheduler == LOCAL:
         with (
@@ -58,8 +74,6 @@ def connected(scheduler: str, workers: int | None = None) -> Iterator[Client]:
         ):
             yield client
         return
-    if "://" not in scheduler:
-        raise StarwiseError("not the address of a scheduler", found=scheduler, wanted="tcp://HOST:PORT, or local")
     try:
         client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
