@@ -78,13 +78,26 @@ def faults_of(scenario: Mapping[str, Any]) -> list[str]:
     """Faults of a scenario in words."""
     faults = scenario.get("faults") or []
     items = faults if isinstance(faults, Sequence) and not isinstance(faults, str) else [faults]
-    out = []
-    for fault in items:
-        rows = flattened(fault) if isinstance(fault, Mapping) else [("fault", str(fault))]
-        said = [f"{key} {value}" for key, value in rows if key != "kind" and value not in ("default", "none")]
-        kind = next((value for key, value in rows if key == "kind"), "fault").replace("_", " ")
-        out.append(f"{kind}: " + ", ".join(said))
-    return out
+    return [_fault(fault) for fault in items if isinstance(fault, Mapping)]
+
+
+def _fault(fault: Mapping[str, Any]) -> str:
+    sensor = fault.get("sensor", "gnss")
+    if sensor == "gnss":
+        who = ", ".join(fault.get("satellites") or ()) or "all satellites"
+        who += "".join(f" {signal}" for signal in fault.get("signals") or ())
+    else:
+        who = f"{sensor} {', '.join(fault.get('axes') or ())}"
+    kind = str(fault.get("kind", "fault")).replace("_", " ")
+    what = "" if kind in ("outage", "spoof", "clock jump", "cycle slip") else f" of the {fault.get('observable', '')}"
+    size = fault.get("size")
+    unit = {"ramp": "m/s", "spoof": "m/s", "cycle slip": "cycles"}.get(kind, "m") if sensor == "gnss" else ""
+    if fault.get("observable") == "rate" and sensor == "gnss":
+        unit += "/s"
+    much = f" of {size:g} {unit}".rstrip() if isinstance(size, int | float) and size else ""
+    start, length = float(fault.get("start_s") or 0.0), fault.get("duration_s")
+    when = f"from {start:g} s to the end" if length is None else f"from {start:g} to {start + float(length):g} s"
+    return f"{kind[:1].upper()}{kind[1:]}{much}{what if sensor == 'gnss' else ''}, {when}: {who}"
 
 
 def _segments(vehicle: Mapping[str, Any]) -> list[str]:

@@ -53,7 +53,7 @@ function updateInspector() {
   if (T) value(list, "error, m", trio(T.errors, i, 2));
   if (E.h) value(list, "height, m", finite(E.h[i]) ? E.h[i].toFixed(3) : "–");
   if (E.vel) value(list, "velocity, m/s", trio(E.vel, i, 2));
-  if (E.extra.yaw_deg) value(list, "roll pitch yaw", ["roll_deg", "pitch_deg", "yaw_deg"].map((n) => num(E.extra[n][i], 4)).join("  "));
+  if (E.extra.yaw_deg) value(list, "roll pitch yaw", trio(["roll_deg", "pitch_deg", "yaw_deg"].map((n) => E.extra[n]), i, 2));
   if (E.dop) value(list, "PDOP", num(E.dop[1][i]));
   if (E.nis && E.dof[i]) value(list, "NIS / dof", `${num(E.nis[i] / E.dof[i])} (${E.dof[i]})`);
   if (!S) { if (E.n_used[i]) value(list, "satellites", String(E.n_used[i])); return; }

@@ -51,7 +51,7 @@ const printButton = document.getElementById("print");
 printButton.hidden = false;
 printButton.addEventListener("click", () => window.print());
 
-function drawAll() { for (const p of panels.values()) p.draw(); }
+function drawAll() { begin(); for (const p of panels.values()) p.draw(); }
 function resize() { for (const p of panels.values()) if (p.gd && p.size().width !== p.width) { p.width = p.size().width; p.redraw(); } }
 addEventListener("beforeprint", () => {
   printing = true;
@@ -93,12 +93,18 @@ buildInspector();
 updateInspector();
 for (const place of document.querySelectorAll(".plot")) {
   const make = specs[place.dataset.panel];
-  if (make && window.Plotly) panels.set(place.dataset.panel, new Panel(place, make()));
+  if (make) panels.set(place.dataset.panel, new Panel(place, make()));
 }
 const seen = new IntersectionObserver((entries) => {
   for (const e of entries) if (e.isIntersecting) { const p = panels.get(e.target.dataset.panel); if (p) { p.draw(); p.width = p.size().width; } seen.unobserve(e.target); }
 }, { rootMargin: "200px" });
-for (const p of panels.values()) seen.observe(p.box);
+// Plotly takes most of a second to begin: words and numbers are shown before it does. It lies in the page as text.
+function begin() {
+  if (window.Plotly || !panels.size) return;
+  document.head.append(el("script", {}, document.getElementById("plotly").textContent));
+  document.getElementById("plotly").remove();
+  for (const p of panels.values()) seen.observe(p.box);
+}
 // the rest when there is time, so that everything is there for searching and printing
 const idle = window.requestIdleCallback || ((f) => setTimeout(f, 30));
 function rest() {
@@ -108,7 +114,9 @@ function rest() {
   next.width = next.size().width;
   idle(rest);
 }
-idle(rest);
+const start = () => { begin(); idle(rest); };
+if (document.visibilityState === "hidden") setTimeout(start, 0);
+else requestAnimationFrame(() => setTimeout(start, 0));
 let waiting = 0;
 addEventListener("resize", () => { clearTimeout(waiting); waiting = setTimeout(resize, 120); });
 // the section one is in

@@ -37,11 +37,13 @@ function graticule(p, under) {
   const x0 = a.x._offset, x1 = x0 + a.x._length, y0 = a.y._offset, y1 = y0 + a.y._length;
   const [e0, e1] = a.x.range, [n0, n1] = a.y.range, deg = 180 / Math.PI;
   const step = angleStep(Math.max(((e1 - e0) / r.p) * deg, ((n1 - n0) / r.m) * deg) / 4);
-  const lonStep = angleStep((((e1 - e0) / r.p) * deg) / 3);
+  const lonStep = angleStep((((e1 - e0) / r.p) * deg) / Math.max(1, Math.min(4, a.x._length / 130)));
+  let free = -Infinity;
   for (let k = Math.ceil((lon0 + (e0 / r.p) * deg) / lonStep); k * lonStep <= lon0 + (e1 / r.p) * deg; k++) {
     const x = x0 + a.x.l2p(((k * lonStep - lon0) / deg) * r.p);
     g.append(svg("path", { class: "grat", d: `M${x} ${y0}V${y1}` }));
-    if (x < x1 - 70) g.append(svg("text", { class: "grat", x: x + 3, y: y0 + 12 }, angle(k * lonStep, lonStep, "E", "W")));
+    if (x < x1 - 76 && x > free) free = x + 92;
+    if (free === x + 92) g.append(svg("text", { class: "grat", x: x + 3, y: y0 + 12 }, angle(k * lonStep, lonStep, "E", "W")));
   }
   for (let k = Math.ceil((lat0 + (n0 / r.m) * deg) / step); k * step <= lat0 + (n1 / r.m) * deg; k++) {
     const y = y0 + a.y.l2p(((k * step - lat0) / deg) * r.m);

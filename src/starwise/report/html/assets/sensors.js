@@ -199,13 +199,13 @@ const calibrationSpec = () => ({
 
 function extraRow(name, title, unit, c, sigmas) {
   const y = E.extra[name], s = E.extra["sigma_" + name], parts = s ? [y, about(y, s, -1), about(y, s, 1)] : [y];
-  return { title, unit, range: robust(parts, 0.01, 0.99), series: [{ name: title, y, colour: c, bands: s ? [[about(y, s, -sigmas), about(y, s, sigmas), fade(c, 0.16)]] : [] }] };
+  return { title, unit, range: robust(parts, 0.01, 0.99, unit === "deg" ? 1 : 0), series: [{ name: title, y, colour: c, bands: s ? [[about(y, s, -sigmas), about(y, s, sigmas), fade(c, 0.16)]] : [] }] };
 }
 const unwrap = (y) => { let turn = 0; return y.map((v, i) => { if (i && finite(v) && finite(y[i - 1])) { if (v - y[i - 1] > 180) turn -= 360; if (v - y[i - 1] < -180) turn += 360; } return v + turn; }); };
 const attitudeSpec = () => {
   const list = ["roll", "pitch", "yaw"].filter((n) => E.extra[n + "_deg"]);
   if (E.extra.yaw_deg && !E.extra.yaw_deg.unwrapped) { E.extra.yaw_deg = unwrap(E.extra.yaw_deg); E.extra.yaw_deg.unwrapped = true; }
-  return strips(() => list.map((n, k) => extraRow(n + "_deg", n, "deg", [colour.e(), colour.n(), colour.u()][k], 3)), { rows: list.length, row: 130 });
+  return strips(() => list.map((n, k) => extraRow(n + "_deg", n, "deg", [colour.e(), colour.n(), colour.u()][k], D.kind === "simulation" ? 0 : 3)), { rows: list.length, row: 130 });
 };
 const UNITS = { dph: "°/h", mps2: "m/s²", ppm: "ppm", deg: "°", m: "m", s: "s", mps: "m/s" };
 function extraGroups() {

@@ -70,7 +70,7 @@ function strips(make, options) {
   const get = () => rows || (rows = make());
   return {
     time: true, shared: true, rows: o.rows, get: () => { rows = null; return get(); },
-    height: (w) => Math.round((w < 560 ? 118 : o.row || 130) * o.rows + 34),
+    height: (w) => Math.round((w < 440 ? 118 : o.row || 130) * o.rows + 34),
     build(p) {
       rows = null;
       const list = get(), n = list.length, data = [], gap = 24 / Math.max(60, p.size().height - 54);
