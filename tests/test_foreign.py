@@ -1,5 +1,6 @@
 """Files of other programs: told by content, read as their authors mean them, refused in one line when damaged."""
 
+import json
 import random
 import shutil
 import subprocess
@@ -10,7 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+import starwise
 from starwise import read_solution
+from starwise.cli import run
 from starwise.constants import NS
 from starwise.errors import StarwiseError
 from starwise.frames import C_ne_enu, C_ne_ned, ecef_from_geodetic, geodetic_from_ecef
@@ -262,6 +265,37 @@ def test_sizes_of_simulated_residuals(tmp_path: Path) -> None:
     assert any("G05" in f.where for f in biased.consistency.findings if str(f.cause) == "bias")
 
 
+@pytest.mark.real
+def test_assess_a_stat(
+    kiru: Callable[[str], Path], truth: dict[str, Any], capsys: pytest.CaptureFixture[str], shared_data: Path
+) -> None:
+    stat = kiru("spp").with_name("spp.pos.stat")
+    place = ",".join(str(v) for v in truth["KIRU_2024.244"]["marker_ecef_m"])
+    conf = shared_data / "rtklib_conf" / "spp.conf"
+    assert run(["assess", str(stat), "--truth", place, "--rtklib-conf", str(conf)]) == 0
+    shown = capsys.readouterr().out
+    for words in ("RMS 3D", "Not consistent", "lag 1", "\nG05 ", "writes no variances"):
+        assert words in shown.replace("  G05", "\nG05")
+    assert max(len(line) for line in shown.splitlines()[1:]) <= 80
+    assert run(["assess", str(stat), "--truth", place, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    pos = json.loads(json.dumps(starwise.assess(kiru("spp"), place)))
+    assert report["rms_3d_m"] == pytest.approx(pos["rms_3d_m"], abs=1e-4)  # both files have 0.1 mm
+    assert report["coverage_95"] is None
+    assert report["consistency"]["grade"] == "inconsistent"
+    assert len(report["consistency"]["satellites"]) > 40
+    with pytest.raises(StarwiseError, match=r"not its \.stat"):
+        run(["assess", str(kiru("spp")), "--rtklib-conf", str(conf)])
+
+
+def test_assess_residuals_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path, RESIDUALS, "r.csv")
+    assert run(["assess", str(path), "--json"]) == 0
+    assert set(json.loads(capsys.readouterr().out)) == {"consistency", "notes"}
+    assert run(["assess", str(path)]) == 0
+    assert "2 residuals of 2 satellites in 1 epochs" in capsys.readouterr().out
+
+
 # -- NMEA ---------------------------------------------------------------------------------------------------------
 
 
@@ -377,6 +411,23 @@ def test_kf_gins(tmp_path: Path) -> None:
         np.testing.assert_allclose(C @ solution.vel_e[0], [0.1, 2.0, -0.05], rtol=0, atol=1e-9)
         assert solution.extra["yaw_deg"][0] == 185.7
         assert solution.extra["sigma_yaw_deg"][0] == 0.6
+
+
+def test_assess_kf_gins_against_a_truth_with_weeks(tmp_path: Path) -> None:
+    nav = written(tmp_path, NAV, "KF_GINS_Navresult.nav")
+    written(tmp_path, STD, "KF_GINS_STD.txt")
+    rows = [line.split() for line in NAV.splitlines()]
+    for row in rows:
+        row[0], row[4] = "2017", "22.9"
+    dated = written(tmp_path, "\n".join(" ".join(row) for row in rows), "truth.nav")
+    for solution, truth in ((nav, dated), (dated, nav)):
+        report = starwise.assess(solution, str(truth))
+        assert report["epochs_compared"] == 50
+        assert report["rms_3d_m"] == pytest.approx(2.0, abs=1e-6)
+    notes = starwise.assess(nav, str(dated))["notes"]
+    assert any("week" in note for note in notes)
+    assert any("inertial unit" in note for note in notes)
+    assert starwise.assess(nav, str(dated))["coverage_50"] == 1.0  # 2 m up of 3 m sigma
 
 
 def test_kf_gins_over_the_end_of_a_week_without_its_number(tmp_path: Path) -> None:

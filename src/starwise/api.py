@@ -224,13 +224,15 @@ def assess(
     geoid_m: float | None = None,
     tolerance_s: float = 0.05,
     interpolate: bool = False,
+    rtklib_conf: PathLike | None = None,
 ) -> dict[str, Any]:
     """Errors of a solution against the truth, and whether its covariance tells them.
 
     Parameters
     ----------
     solution : Solution or path-like
-        A solution, the directory of a result, or a position file (RTKLIB `.pos`, any of its formats).
+        A solution, the directory of a result, or a file that `starwise.read_solution` reads: RTKLIB `.pos` and
+        ``.stat``, NMEA, tables of gnss_lib_py (also of residuals alone), navigation results of KF-GINS.
     truth : Truth, path-like or str, optional
         A truth, its file, ``"X,Y,Z"`` (ECEF, m) or ``"lat,lon,h"`` (deg, m). Without it the errors are counted from
         the solution's own median position: scatter, not accuracy.
@@ -240,17 +242,27 @@ def assess(
         Geoid height above the ellipsoid, m, to be added to a position file's heights above the geoid.
     tolerance_s, interpolate
         Matching in time; see `starwise.analysis.accuracy.match`.
+    rtklib_conf : path-like, optional
+        Options that RTKLIB wrote a ``.stat`` with, for the weights of its residuals.
 
     Returns
     -------
     dict
-        See `starwise.analysis.accuracy.assess`; ``docs/formats.md`` describes every key.
+        See `starwise.analysis.accuracy.assess`; ``docs/formats.md`` describes every key. Files of residuals have
+        ``consistency``; those without positions have nothing else but ``notes``.
 
     Raises
     ------
     StarwiseError
         A file that cannot be read, or nothing to compare.
     """
+    residuals, positions = None, True
+    if not isinstance(solution, Solution):
+        from starwise.studies.residuals import residuals_of_file
+
+        residuals, positions = residuals_of_file(solution, rtklib_conf)
+    if residuals is not None and not positions:
+        return {"consistency": residuals.to_dict(), "notes": list(residuals.notes)}
     solution, truth, vertical = _judged(solution, truth, antenna_up_m, geoid_m)
     report = assess_solution(
         solution, truth, tolerance_s=tolerance_s, interpolate=interpolate, vertical=vertical or truth is None
@@ -262,6 +274,11 @@ def assess(
         notes.append("the week is not in the file: that of the truth is taken")
     if "point" in solution.provenance:
         notes.append(f"positions are of the {solution.provenance['point']}, not of the antenna")
+    if "covariance" in solution.provenance:
+        notes.append(f"covariance: {solution.provenance['covariance']}")
+    if residuals is not None:
+        report["consistency"] = residuals.to_dict()
+        notes += residuals.notes
     return {**report, "notes": notes}
 
 

@@ -18,8 +18,9 @@ def assess(
     solutions: Annotated[
         list[str],
         typer.Argument(
-            metavar="DIR|FILE.pos[=TRUTH]",
-            help="Results of solve, or RTKLIB position files of any format; with a truth of their own after =.",
+            metavar="DIR|FILE[=TRUTH]",
+            help="Results of solve; RTKLIB .pos and .stat, NMEA, tables of gnss_lib_py, results of KF-GINS; with a "
+            "truth of their own after =.",
         ),
     ],
     truth: Annotated[
@@ -47,6 +48,9 @@ def assess(
         float, typer.Option(metavar="S", help="Greatest distance in time to a row of the truth.")
     ] = 0.05,
     interpolate: Annotated[bool, typer.Option("--interpolate", help="Interpolate the truth between its rows.")] = False,
+    rtklib_conf: Annotated[
+        Path | None, typer.Option("--rtklib-conf", metavar="FILE.conf", help="Options that RTKLIB wrote a .stat with.")
+    ] = None,
     no_report: NoReport = False,
     as_json: Json = False,
 ) -> None:
@@ -73,7 +77,7 @@ def assess(
         return
     if sessions is not None:
         raise StarwiseError("--sessions", found="without --pool", wanted="--pool, or none")
-    reports = {path: api.assess(path, own, **how) for path, own in runs}
+    reports = {path: api.assess(path, own, rtklib_conf=rtklib_conf, **how) for path, own in runs}
     if not no_report:
         from starwise.report.html import refresh_reports
 

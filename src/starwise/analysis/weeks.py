@@ -28,4 +28,4 @@ def in_one_week(solution: Solution, truth: Truth) -> tuple[Solution, Truth]:
 
 
 def _weekless(t_ns: I8) -> bool:
-    return bool(0 <= t_ns.min() and t_ns.max() < _WEEKLESS_NS)
+    return bool(t_ns.min() >= 0 and t_ns.max() < _WEEKLESS_NS)

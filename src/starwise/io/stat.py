@@ -54,6 +54,11 @@ def looks_like_stat(head: str) -> bool:
     return head.lstrip("\ufeff \r\n").split(",", 1)[0] in RECORDS
 
 
+def has_residuals(path: str | Path) -> bool:
+    """Whether a solution status file has ``$SAT`` records."""
+    return b"$SAT," in read_bytes(path)
+
+
 def read_stat(path: str | Path) -> Solution:
     """Solution of the ``$POS`` records of a solution status file, ECEF, GPST.
 

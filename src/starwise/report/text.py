@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from starwise.report.residuals import residual_lines
+
 WIDTH = 80
 SYSTEM_NAMES = {
     "G": "GPS", "R": "GLONASS", "E": "Galileo", "C": "BeiDou", "J": "QZSS", "I": "NavIC", "S": "SBAS",
@@ -152,6 +154,9 @@ def _notes(provenance: Mapping[str, Any]) -> list[str]:
 
 def assess_text(name: str, report: Mapping[str, Any]) -> str:
     """Screen of ``starwise assess`` for one solution."""
+    residuals = residual_lines(report["consistency"]) if "sizes" in report.get("consistency", {}) else []
+    if "reference" not in report:  # residuals alone
+        return "\n".join([name, *residuals, *(line for note in report["notes"] for line in _field("note", note))])
     reference = "the truth" if report["reference"] == "truth" else "the solution's own median: scatter, not accuracy"
     lines = [name]
     lines += _field("against", f"{reference} ({report['truth']})" if report["reference"] == "truth" else reference)
@@ -182,6 +187,8 @@ def assess_text(name: str, report: Mapping[str, Any]) -> str:
             "",
             *_calibration_lines(report["calibration"], "truth" if report["reference"] == "truth" else "median"),
         ]
+    if residuals:
+        lines += ["", *residuals]
     for note in report.get("notes", ()):
         lines += _field("note", note)
     return "\n".join(lines)

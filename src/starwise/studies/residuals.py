@@ -20,8 +20,10 @@ import numpy as np
 from starwise.analysis.lab import Consistency
 from starwise.constants import SYS_R, SYS_S
 from starwise.errors import StarwiseError
+from starwise.io.foreign import RESIDUALS, kind_of
 from starwise.io.residuals import Residuals, read_residuals
 from starwise.io.rtklib_conf import values_of
+from starwise.io.stat import has_residuals
 from starwise.signals import sv_name
 from starwise.types import F8, I8, Solution, Truth
 
@@ -103,8 +105,9 @@ class ResidualReport:
         return "\n".join([*lines, "", self.consistency.explain()])
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, ready for JSON: what `Consistency` has, with ``sizes`` and ``notes``."""
-        return {**self.consistency.to_dict(), "sizes": self.sizes, "notes": list(self.notes)}
+        """Plain values, ready for JSON: what `Consistency` has, with ``sizes``, ``notes`` and this explanation."""
+        made = self.consistency.to_dict()
+        return {**made, "explanation": self.explain(), "sizes": self.sizes, "notes": list(self.notes)}
 
 
 def weights_of(conf: str | Path) -> Weights:
@@ -123,6 +126,33 @@ def weights_of(conf: str | Path) -> Weights:
     if not (0.0 <= a_m < 1e3 and 0.0 <= b_m < 1e3 and a_m + b_m > 0.0):
         raise StarwiseError("not the sizes of errors", file=conf, found=f"{a_m:g}, {b_m:g} m", wanted="stats-errphase")
     return Weights(a_m, b_m, ionosphere_free=values.get("pos1-ionoopt", "").lower() in ("dual-freq", "3"))
+
+
+def residuals_of_file(path: str | Path, conf: str | Path | None = None) -> tuple[ResidualReport | None, bool]:
+    """What the laboratory says of a file's residuals, and whether the file has positions of that program, too.
+
+    Parameters
+    ----------
+    path : path-like
+        Any solution; None for those without residuals.
+    conf : path-like, optional
+        Options that RTKLIB ran with.
+
+    Raises
+    ------
+    StarwiseError
+        A file of residuals that cannot be read, or options without a ``.stat``.
+    """
+    path = Path(path)
+    kind = kind_of(path) if path.is_file() else ""
+    if conf is not None and kind != "stat":
+        raise StarwiseError("options of RTKLIB for a file that is not its .stat", file=path, wanted="a .stat")
+    if kind not in RESIDUALS:
+        return None, True
+    if kind == "stat" and not has_residuals(path):
+        return None, True
+    # The positions of a gnss_lib_py table of measurements are those of the data set, not of its solution.
+    return judge_residuals(path, conf=conf), kind == "stat"
 
 
 def judge_residuals(
@@ -158,8 +188,8 @@ def judge_residuals(
     relative = any("double differences" in note for note in table.notes)
     sizes: dict[str, Any] = {
         "rows": int(code.sum() + phase.sum()),
-        "epochs": len(np.unique(table.t_ns)),
-        "satellites": len(np.unique(table.sv)),
+        "epochs": len(np.unique(table.t_ns[code | phase])),
+        "satellites": len(np.unique(table.sv[code | phase])),
         "code_rms_m": _rms(table.code_m[code]),
         "phase_rms_m": _rms(table.phase_m[phase]),
         "zenith_sigma_m": None,
