@@ -120,11 +120,10 @@ def main() -> None:
         print(json.dumps(rows, indent=1))
         return
     for row in rows:
-        print(
-            f"{row['what']}: {row['here_s']:.1f} s by processes, {row['cluster_s']:.1f} s by Dask,"
-            f" {row['workers_before']} workers;\n  worker {row['killed']} killed in the middle, {row['workers_at_the_end']} workers at the end;"
-            f" result {'equal to the last bit' if row['equal'] else 'DIFFERENT'}"
-        )
+        equal = "equal to the last bit" if row["equal"] else "DIFFERENT"
+        print(f"{row['what']}: by processes {row['here_s']:.1f} s,", end=" ")
+        print(f"by {row['workers_before']} workers of Dask {row['cluster_s']:.1f} s;")
+        print(f"  worker {row['killed']} killed in the middle, {row['workers_at_the_end']} at the end; result {equal}")
     if not all(row["equal"] for row in rows):
         raise SystemExit(1)
 
