@@ -5,7 +5,8 @@ The main entry points, imported when first used so that ``import starwise`` cost
 * `solve`: observation, navigation and orbit files in, a `Solution` out;
 * `assess`: errors of a solution against the truth; `pool`: the covariances of many runs against theirs;
 * `fuse_files`: position fixes of several receivers in, one solution out;
-* `read_obs`, `read_nav`, `read_sp3`, `read_clk`, `read_pos`, `read_solution`, `read_truth`: files as nouns;
+* `read_obs`, `read_nav`, `read_sp3`, `read_clk`, `read_pos`, `read_residuals`, `read_solution`, `read_truth`: files as
+  nouns;
 * `write_results`: a solution as files; `export`: for maps and other programs;
 * `RunConfig`, `Solution`, `Observations`, `StarwiseError`: the nouns.
 """
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from starwise.errors import StarwiseError
     from starwise.io.clk import read_clk
     from starwise.io.pos import read_pos
+    from starwise.io.residuals import read_residuals
     from starwise.io.results import read_solution, write_results
     from starwise.io.rinex_nav import read_nav
     from starwise.io.rinex_obs import read_obs
@@ -45,6 +47,7 @@ _HOME = {
     "read_sp3": "io.sp3",
     "read_clk": "io.clk",
     "read_pos": "io.pos",
+    "read_residuals": "io.residuals",
     "read_solution": "io.results",
     "write_results": "io.results",
     "read_truth": "io.truth",
@@ -72,6 +75,7 @@ __all__ = [
     "read_nav",
     "read_obs",
     "read_pos",
+    "read_residuals",
     "read_solution",
     "read_sp3",
     "read_truth",
