@@ -20,6 +20,15 @@ from starwise.types import F8, I8, Solution
 
 LARGEST_M: Final = 1e5
 """Fixes of one epoch that are farther apart are of other places: no plane holds them."""
+APART_M: Final = 10_000.0
+"""Receivers that are never nearer to each other are not on one vehicle, whatever their files claim."""
+APART_SIGMAS: Final = 20.0
+APART_LEAST_M: Final = 100.0
+"""Nor are those that are never nearer than so many of their claimed sigmas and the length of a long vehicle."""
+NEVER_NEARER: Final = 0.05
+"""Part of the fixes that may be nearer by chance."""
+FASTEST_MPS: Final = 1000.0
+"""What moves between fixes of different times is no distance."""
 
 
 @dataclass(frozen=True)
@@ -104,8 +113,8 @@ def fuse_fixes(receivers: Sequence[Receiver], config: FuseConfig | None = None) 
     Raises
     ------
     StarwiseError
-        No fix at all; receivers without a fix, or at another time than all others; fixes of one epoch in different
-        places.
+        No fix at all; receivers without a fix, or at another time than all others; receivers that are never near each
+        other; fixes of one epoch in different places.
     """
     options = config or FuseConfig()
     if not receivers:
@@ -188,6 +197,7 @@ def _merge(receivers: Sequence[Receiver], options: FuseConfig) -> _Epochs:
     """Fixes of all receivers by epoch; what a file does not claim of its noise is filled in."""
     cleaned = [_cleaned(receiver, options) for receiver in receivers]
     _check_times(receivers, [t for t, _, _ in cleaned])
+    _check_places(receivers, cleaned)
     times = np.sort(np.concatenate([t for t, _, _ in cleaned]))
     tolerance = round(options.tolerance_s * 1e9)
     starts = [0]
@@ -214,6 +224,27 @@ def _check_times(receivers: Sequence[Receiver], times: Sequence[I8]) -> None:
                 found=f"{iso(int(t[0]))} to {iso(int(t[-1]))} GPST",
                 wanted=f"fixes within {iso(int(min(o[0] for o in others)))} to {iso(int(max(o[-1] for o in others)))}",
             )
+
+
+def _check_places(receivers: Sequence[Receiver], cleaned: Sequence[tuple[I8, F8, F8]]) -> None:
+    """Refuse receivers that are never near each other: those of different vehicles, or of different datums."""
+    for k, (t, pos, cov) in enumerate(cleaned):
+        for j in range(k):
+            other_t, other_pos, other_cov = cleaned[j]
+            after = np.clip(np.searchsorted(other_t, t), 1, max(len(other_t) - 1, 1))
+            left, right = after - 1, np.minimum(after, len(other_t) - 1)
+            at = np.where(np.abs(t - other_t[left]) <= np.abs(other_t[right] - t), left, right)
+            moved = FASTEST_MPS * np.abs(t - other_t[at]) * 1e-9
+            apart = np.maximum(np.linalg.norm(pos - other_pos[at], axis=1) - moved, 0.0)
+            claimed = np.sqrt(np.einsum("nii->n", cov + other_cov[at]))
+            limit = np.minimum(np.maximum(APART_SIGMAS * claimed, APART_LEAST_M), APART_M)
+            if np.quantile(apart / limit, NEVER_NEARER) > 1.0:
+                raise StarwiseError(
+                    "receivers are never near each other: not of one place",
+                    file=receivers[k].name,
+                    found=f"{float(np.median(apart)):.0f} m from {receivers[j].name} in the middle",
+                    wanted=f"receivers on one vehicle, within {float(np.median(limit)):.0f} m of each other",
+                )
 
 
 def _cleaned(receiver: Receiver, options: FuseConfig) -> tuple[I8, F8, F8]:
