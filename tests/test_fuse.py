@@ -139,7 +139,8 @@ def test_what_cannot_be_fused():
     with pytest.raises(StarwiseError, match="not of one place"):
         fuse_fixes([a, far])
     with pytest.raises(StarwiseError, match="never near each other") as caught:
-        fuse_fixes([a, Receiver("b", a.t_ns, a.pos_e + np.array([6e4, 6e4, 0.0]), 1e10 * a.cov_e)])  # 85 km, claimed 500 km
+        # 85 km apart, and claimed to 500 km
+        fuse_fixes([a, Receiver("b", a.t_ns, a.pos_e + np.array([6e4, 6e4, 0.0]), 1e10 * a.cov_e)])
     assert caught.value.file == "b"
     with pytest.raises(StarwiseError, match="never near each other"):
         fuse_fixes([a, Receiver("b", a.t_ns + NS // 2, a.pos_e + np.array([150.0, 0.0, 700.0]), a.cov_e)])  # never meet
