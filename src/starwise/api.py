@@ -10,6 +10,7 @@ from starwise import __version__
 from starwise.analysis.accuracy import assess as assess_solution
 from starwise.analysis.accuracy import raised
 from starwise.analysis.weeks import in_one_week
+from starwise.api_assess import PARTS, Laboratory, keep, suggested
 from starwise.config import RunConfig, load_config
 from starwise.errors import StarwiseError
 from starwise.io.inputs import Inputs, peek, sort_inputs
@@ -225,8 +226,16 @@ def assess(
     tolerance_s: float = 0.05,
     interpolate: bool = False,
     rtklib_conf: PathLike | None = None,
+    parts: Sequence[str] = PARTS,
+    what_if: str | None = None,
+    windows: int = 8,
+    steps: int | None = 240,
+    write: bool | PathLike = False,
+    suggest: PathLike | None = None,
+    tune: bool = False,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Errors of a solution against the truth, and whether its covariance tells them.
+    """Errors of a solution against the truth, whether its covariance tells them, and what the laboratory says.
 
     Parameters
     ----------
@@ -244,12 +253,28 @@ def assess(
         Matching in time; see `starwise.analysis.accuracy.match`.
     rtklib_conf : path-like, optional
         Options that RTKLIB wrote a ``.stat`` with, for the weights of its residuals.
+    parts : sequence of str
+        Parts of the laboratory: ``consistency``, ``observability``, ``stability``; empty: accuracy alone.
+    what_if : str, optional
+        Measurements to add or take away, like ``"altimeter,-doppler,constellation=E"``; see
+        `starwise.analysis.what_if_change`.
+    windows, steps : int
+        Windows of the run that observability looks at, epochs that stability follows (None: all).
+    write : bool or path-like
+        Write ``assess.json`` and, if there is something to suggest, ``suggested.toml``: into the directory of the
+        result (True; nothing if ``solution`` is none), or into a directory, or a file ``*.json``.
+    suggest : path-like, optional
+        File for the suggested configuration in place of ``suggested.toml``.
+    tune : bool
+        Find it by maximum likelihood of the innovations: the measurements are solved some dozen times anew.
+    progress : callable, optional
+        Of the tuning.
 
     Returns
     -------
     dict
-        See `starwise.analysis.accuracy.assess`; ``docs/formats.md`` describes every key. Files of residuals have
-        ``consistency``; those without positions have nothing else but ``notes``.
+        See `starwise.analysis.accuracy.assess` and `starwise.api_assess.Laboratory`; ``docs/formats.md`` describes
+        every key. Files of residuals have ``consistency``; those without positions have nothing else but ``notes``.
 
     Raises
     ------
@@ -263,7 +288,9 @@ def assess(
         residuals, positions = residuals_of_file(solution, rtklib_conf)
     if residuals is not None and not positions:
         return {"consistency": residuals.to_dict(), "notes": list(residuals.notes)}
-    solution, truth, vertical = _judged(solution, truth, antenna_up_m, geoid_m)
+    source = solution
+    laboratory = Laboratory(tuple(parts), what_if, windows, steps, tolerance_s, interpolate)
+    solution, truth, vertical = _judged(solution, truth, antenna_up_m, geoid_m, laboratory.needed)
     report = assess_solution(
         solution, truth, tolerance_s=tolerance_s, interpolate=interpolate, vertical=vertical or truth is None
     )
@@ -276,18 +303,38 @@ def assess(
         notes.append(f"positions are of the {solution.provenance['point']}, not of the antenna")
     if "covariance" in solution.provenance:
         notes.append(f"covariance: {solution.provenance['covariance']}")
+    found, consistency = laboratory.records(solution, truth, vertical)
+    report |= found
     if residuals is not None:
         report["consistency"] = residuals.to_dict()
         notes += residuals.notes
-    return {**report, "notes": notes}
+    report["notes"] = notes
+    tuning = None
+    if tune or suggest is not None or (write is not False and "consistency" in parts):
+        rerun = _rerun_of(solution) if tune else None
+        tuning = suggested(solution, consistency, rerun=rerun, progress=progress, needed=tune or suggest is not None)
+    if laboratory.needed:
+        report["suggested"] = None if tuning is None else tuning.to_dict()
+    keep(report, source, write, suggest, None if tuning is None else tuning.to_toml())
+    return report
+
+
+def _rerun_of(solution: Solution) -> Callable[[RunConfig], Solution]:
+    """What solves the inputs of a run once more with another configuration."""
+    paths = [Path(item["path"]) for item in solution.provenance.get("inputs", ())]
+    gone = [str(path) for path in paths if not path.is_file()]
+    if gone or not paths:
+        raise StarwiseError("the inputs of the run are gone", found=gone[0] if gone else "none", wanted="no tuning")
+    return lambda config: solve(*paths, config=config, report=False)
 
 
 def _judged(
-    solution: Solution | PathLike, truth: Truth | str | Path | None, antenna_up_m: float, geoid_m: float | None
-) -> tuple[Solution, Truth | None, bool]:
+    solution: Solution | PathLike, truth: Truth | str | Path | None, antenna_up_m: float, geoid_m: float | None,
+    ledger: bool = False,
+) -> tuple[Solution, Truth | None, bool]:  # fmt: skip
     """Solution and truth of the same point, read where need be, and whether their heights are comparable."""
     if not isinstance(solution, Solution):
-        solution = read_solution(solution, ledger=False)
+        solution = read_solution(solution, ledger=ledger)
     if truth is not None and not isinstance(truth, Truth):
         from starwise.io.truth import read_truth
 

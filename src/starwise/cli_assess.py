@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from starwise.errors import StarwiseError
-from starwise.terminal import Json, NoReport, show, show_json
+from starwise.terminal import Json, NoReport, Progress, show, show_json
 
 
 def register(app: typer.Typer) -> None:
@@ -51,10 +51,40 @@ def assess(
     rtklib_conf: Annotated[
         Path | None, typer.Option("--rtklib-conf", metavar="FILE.conf", help="Options that RTKLIB wrote a .stat with.")
     ] = None,
+    what_if: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LIST",
+            help="Measurements to add, or with - to take away: altimeter, doppler, imu_acceleration, second_antenna, "
+            "constellation=E; separated by commas.",
+        ),
+    ] = None,
+    without: Annotated[
+        str | None,
+        typer.Option(metavar="LIST", help="Parts to leave out: consistency, observability, stability; or all."),
+    ] = None,
+    every_step: Annotated[
+        bool, typer.Option("--every-step", help="Stability follows all epochs, not 240: slow for long runs.")
+    ] = False,
+    suggest: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.toml", help="Write the suggested configuration there, not beside assess.json."),
+    ] = None,
+    tune: Annotated[
+        bool,
+        typer.Option("--tune", help="Suggest by maximum likelihood: the run is solved some dozen times anew."),
+    ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="OUT", help="Directory (or FILE.json) for the details of one solution."),
+    ] = None,
     no_report: NoReport = False,
     as_json: Json = False,
 ) -> None:
-    """Errors against the truth, and whether the covariance tells them."""
+    """Errors against the truth, whether the covariance tells them, and what the laboratory says of the filter.
+
+    A directory of results gets assess.json with all details, and suggested.toml where a better configuration is seen.
+    """
     from starwise import api
 
     runs = [_run_and_truth(text, truth) for text in solutions]
@@ -77,7 +107,17 @@ def assess(
         return
     if sessions is not None:
         raise StarwiseError("--sessions", found="without --pool", wanted="--pool, or none")
-    reports = {path: api.assess(path, own, rtklib_conf=rtklib_conf, **how) for path, own in runs}
+    if len(runs) > 1 and (output is not None or suggest is not None or tune):
+        option = "--output" if output is not None else "--suggest" if suggest is not None else "--tune"
+        raise StarwiseError(option, found=f"{len(runs)} solutions", wanted="one at a time")
+    how |= {"what_if": what_if, "parts": _parts(without), "steps": None if every_step else 240}
+    reports: dict[str, dict[str, Any]] = {}
+    with Progress(as_json or not tune) as say:
+        for path, own in runs:
+            reports[path] = api.assess(
+                path, own, rtklib_conf=rtklib_conf, write=True if output is None else output, suggest=suggest,
+                tune=tune, progress=say, **how,
+            )  # fmt: skip
     if not no_report:
         from starwise.report.html import refresh_reports
 
@@ -85,9 +125,23 @@ def assess(
     if as_json:
         show_json(next(iter(reports.values())) if len(solutions) == 1 else reports)
         return
+    from starwise.report.lab import lab_text
     from starwise.report.text import assess_text
 
-    show("\n\n".join(assess_text(name, report) for name, report in reports.items()))
+    show("\n\n".join(f"{assess_text(name, report)}\n\n{lab_text(report)}".rstrip() for name, report in reports.items()))
+
+
+def _parts(without: str | None) -> tuple[str, ...]:
+    """Parts of the laboratory that are left."""
+    from starwise.api_assess import PARTS
+
+    out = set() if without is None else {part.strip() for part in without.split(",")}
+    if "all" in out:
+        return ()
+    unknown = sorted(out - set(PARTS))
+    if unknown:
+        raise StarwiseError("--without", found=unknown[0] or "nothing", wanted=f"{', '.join(PARTS)}, or all")
+    return tuple(part for part in PARTS if part not in out)
 
 
 def _run_and_truth(text: str, truth: str | None) -> tuple[str, str | None]:

@@ -261,6 +261,7 @@ def _judged(unit: Unit, solution: Solution, truth: str) -> Row:
             antenna_up_m=unit.antenna_up_m,
             tolerance_s=unit.tolerance_s,
             interpolate=unit.interpolate,
+            parts=(),
         )
     except StarwiseError as error:
         raise StarwiseError(f"solved, but not to be judged: {error}") from None

@@ -77,7 +77,7 @@ def run_demo(
             method=method,
             report=False,
         )
-        reports[method] = api.assess(solution, truth)
+        reports[method] = api.assess(solution, truth, parts=())
     picture = folder / "track.svg"
     shown = read_solution(folder / METHODS[-1], ledger=False)
     try:

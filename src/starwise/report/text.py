@@ -154,7 +154,8 @@ def _notes(provenance: Mapping[str, Any]) -> list[str]:
 
 def assess_text(name: str, report: Mapping[str, Any]) -> str:
     """Screen of ``starwise assess`` for one solution."""
-    residuals = residual_lines(report["consistency"]) if "sizes" in report.get("consistency", {}) else []
+    judged = report.get("consistency") or {}
+    residuals = residual_lines(judged) if "sizes" in judged else []
     if "reference" not in report:  # residuals alone
         return "\n".join([name, *residuals, *(line for note in report["notes"] for line in _field("note", note))])
     reference = "the truth" if report["reference"] == "truth" else "the solution's own median: scatter, not accuracy"
