@@ -293,8 +293,8 @@ def _follow(system: AnySystem, window: RunWindow, length: int) -> Stability:
         t_ns=window.steps[0].t_ns, epochs=N, of_epochs=length, seconds=window.duration_s,
         states=n, error_states=len(window.error_names), scale=scale, left=_left(blocks[-1][:, :n] * D, scale, window),
         at=np.array(sorted(samples), dtype=np.int64), spectral_radius=np.array(radii), norm=np.array(norms),
-        product_norm=np.array([np.linalg.norm(b[:, :n] * D, 2) for b in blocks]),
-        product_norm_P=np.array([np.linalg.norm(r, 2) for r in roots]),
+        product_norm=np.linalg.norm(np.array([b[:, :n] for b in blocks]) * D, 2, axis=(1, 2)),
+        product_norm_P=np.linalg.norm(np.array(roots), 2, axis=(1, 2)),
         late_s=late_s, fade_s=_fades(late, D, groups, window, middle, late_s), exponents_per_s=exponents,
         growth=_growth(blocks, entries, groups, window),
         controllability=controllability(plain_system, 1 if n < N else 0),
@@ -361,7 +361,7 @@ def _fades(late: F8, D: F8, groups: dict[str, I8], window: RunWindow, middle: in
     t = np.array([(s.t_ns - before) * 1e-9 for s in window.steps[middle:]])
     out = {}
     for name, at in groups.items():
-        size = np.array([np.linalg.norm((A * D)[np.ix_(at, at)], 2) for A in late])
+        size = np.linalg.norm((late * D)[:, at[:, None], at], 2, axis=(1, 2))
         above = np.flatnonzero(size > math.exp(-1.0))
         if not len(above):
             out[name] = float(t[0]) if t[0] > 0.0 else window.period_s
@@ -375,11 +375,12 @@ def _fades(late: F8, D: F8, groups: dict[str, I8], window: RunWindow, middle: in
 def _growth(blocks: list[F8], entries: I8, groups: dict[str, I8], window: RunWindow) -> tuple[Growth, ...]:
     """Largest factor by which an error of a group grows in that group, over all entries and later epochs."""
     n, t0 = window.n, window.steps[0].t_ns
+    cubes = [np.array([b[:, j * n : (j + 1) * n] for b in blocks[entry:]]) for j, entry in enumerate(entries)]
     found = []
     for name, at in groups.items():
         best = Growth(name, 1.0, 0.0, 0.0, 1.0)
         for j, entry in enumerate(entries):
-            size = np.array([np.linalg.norm(b[:, j * n : (j + 1) * n][np.ix_(at, at)], 2) for b in blocks[entry:]])
+            size = np.linalg.norm(cubes[j][:, at[:, None], at], 2, axis=(1, 2))
             k = int(size.argmax())
             if size[k] > best.factor:
                 start = (window.steps[entry].t_ns - t0) * 1e-9
