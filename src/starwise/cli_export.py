@@ -44,10 +44,7 @@ def export(
     ] = True,
     as_json: Json = False,
 ) -> None:
-    """Results for maps and other programs: GeoJSON, KML, GPX, CSV, NMEA, RTKLIB .pos.
-
-    Example: starwise export out --to kml --geoid 49.2 -o out.kml
-    """
+    """Results for maps and other programs: GeoJSON, KML, GPX, CSV, NMEA, RTKLIB .pos."""
     from starwise import api_export
 
     chosen = api_export.format_of(to, output)

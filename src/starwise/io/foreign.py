@@ -82,9 +82,21 @@ def read_foreign(path: str | Path) -> Solution:
         from starwise.io.results import read_table
 
         return read_table(path)
+    return _pos(path)
+
+
+def _pos(path: Path) -> Solution:
     from starwise.io.pos import read_pos
 
-    return read_pos(path)
+    try:
+        return read_pos(path)
+    except StarwiseError as error:
+        if error.line != 1 or path.suffix.lower() == ".pos":
+            raise
+        raise StarwiseError(
+            "not a solution of a kind that is known", file=path, found=error.found,
+            wanted="a result of starwise, RTKLIB .pos or .stat, NMEA, a gnss_lib_py table, or a KF-GINS result",
+        ) from None  # fmt: skip
 
 
 def _kf_gins(path: Path, kind: str) -> Solution:

@@ -261,7 +261,7 @@ def read_solution(path: str | Path, *, ledger: bool = True) -> Solution:
         raise StarwiseError("no such file or directory", file=path)
     if path.is_dir() and not (path / SOLUTION).exists() and (path / NAV_NAME).is_file():
         path = path / NAV_NAME
-    if path.is_file() and not _is_parquet(path):
+    if not path.is_dir() and not (path.is_file() and _is_parquet(path)):
         return read_foreign(path)
     table_path = path / SOLUTION if path.is_dir() else path
     provenance: dict[str, Any] = {}
