@@ -2,6 +2,7 @@
 #   make demo    the main job on a simulated drive in a town
 #   make test    all tests
 #   make lint    style, types, and which module may import which
+#   make docs    the documentation as a site, in site/
 #   make bench   accuracy and speed tables (needs ../shared/data or STARWISE_SHARED_DATA, and Debian's rtklib)
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
@@ -11,7 +12,7 @@ STAMP  := $(VENV)/.installed
 BENCH  := $(VENV)/.installed-bench
 WORKERS ?= 2
 
-.PHONY: all demo test test-nojit lint format bench clean
+.PHONY: all demo test test-nojit lint format docs bench clean
 all: lint test
 
 $(STAMP): pyproject.toml constraints.txt
@@ -46,9 +47,12 @@ format: $(STAMP)
 	$(BIN)/ruff format
 	$(BIN)/ruff check --fix
 
+docs: $(STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+
 bench: $(BENCH)
 	for table in benchmarks/[a-z]*.py; do \
 	  grep -q "^if __name__" $$table || continue; case $$table in */calibrate.py) continue;; esac; echo "== $$table"; $(BIN)/python $$table || exit 1; done
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache starwise-demo
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache starwise-demo site
