@@ -7,15 +7,36 @@ _PER_LINE = 2
 _MOST = 60
 
 
+def size_lines(sizes: Mapping[str, Any]) -> list[str]:
+    """How many residuals, and how large, in words of at most 79 columns.
+
+    Parameters
+    ----------
+    sizes : mapping
+        ``sizes`` of the same.
+    """
+    lines = [f"{sizes['rows']} residuals of {sizes['satellites']} satellites in {sizes['epochs']} epochs"]
+    for kind in ("code", "phase"):
+        if sizes[f"{kind}_rms_m"] is not None:
+            lines.append(f"{kind}: RMS {sizes[f'{kind}_rms_m']:.3f} m")
+    if sizes["zenith_sigma_m"] is not None:
+        lines += [
+            f"error of a code at the zenith: {sizes['zenith_sigma_m']:.2f} m, {sizes['claimed_ratio']:.2f} x what "
+            "RTKLIB's options claim",
+            "  (less the variances of ephemeris and ionosphere, which are in no file)",
+        ]
+    return lines
+
+
 def residual_lines(consistency: Mapping[str, Any]) -> list[str]:
-    """What the laboratory found, and a cell per satellite: bias, relative size, correlation from epoch to epoch.
+    """Sizes, and a cell per satellite: bias, relative size, correlation from epoch to epoch.
 
     Parameters
     ----------
     consistency : mapping
         ``consistency`` of ``starwise assess --json`` for a file with residuals.
     """
-    lines = ["residuals", *consistency["explanation"].splitlines()]
+    lines = ["residuals", *size_lines(consistency["sizes"])]
     rows = [row for row in consistency.get("satellites", ()) if row["used"]][:_MOST]
     if not rows:
         return lines

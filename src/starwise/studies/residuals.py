@@ -90,24 +90,13 @@ class ResidualReport:
 
     def explain(self) -> str:
         """Several lines of at most 79 columns."""
-        lines = [
-            f"{self.sizes['rows']} residuals of {self.sizes['satellites']} satellites in {self.sizes['epochs']} epochs"
-        ]
-        for kind in ("code", "phase"):
-            if self.sizes[f"{kind}_rms_m"] is not None:
-                lines.append(f"{kind}: RMS {self.sizes[f'{kind}_rms_m']:.3f} m")
-        if self.sizes["zenith_sigma_m"] is not None:
-            lines.append(
-                f"error of a code at the zenith: {self.sizes['zenith_sigma_m']:.2f} m, "
-                f"{self.sizes['claimed_ratio']:.2f} x what RTKLIB's options claim\n"
-                "  (less the variances of ephemeris and ionosphere, which are in no file)"
-            )
-        return "\n".join([*lines, "", self.consistency.explain()])
+        from starwise.report.residuals import size_lines
+
+        return "\n".join([*size_lines(self.sizes), "", self.consistency.explain()])
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, ready for JSON: what `Consistency` has, with ``sizes``, ``notes`` and this explanation."""
-        made = self.consistency.to_dict()
-        return {**made, "explanation": self.explain(), "sizes": self.sizes, "notes": list(self.notes)}
+        """Plain values, ready for JSON: what `Consistency` has, with ``sizes`` and ``notes``."""
+        return {**self.consistency.to_dict(), "sizes": self.sizes, "notes": list(self.notes)}
 
 
 def weights_of(conf: str | Path) -> Weights:
