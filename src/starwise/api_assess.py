@@ -3,7 +3,7 @@
 import json
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -22,6 +22,7 @@ ASSESSMENT: Final = "assess.json"
 SUGGESTION: Final = "suggested.toml"
 PARTS: Final = ("consistency", "observability", "stability")
 """What is judged beside accuracy unless left out."""
+_LEDGER: Final = frozenset({"innovation_m", "innovation_var_m2", "rate_innovation_mps", "rate_innovation_var_m2ps2"})
 Progress = Callable[[str, float], None]
 Rerun = Callable[["RunConfig"], Solution]
 
@@ -100,8 +101,9 @@ class Laboratory:
         if "consistency" in self.parts:
             from starwise.analysis.lab import Consistency
 
+            whole = solution if _LEDGER <= set(solution.ledger) else replace(solution, ledger={})
             consistency = Consistency.of(
-                solution, truth, tolerance_s=self.tolerance_s, interpolate=self.interpolate, vertical=vertical
+                whole, truth, tolerance_s=self.tolerance_s, interpolate=self.interpolate, vertical=vertical
             )
             found["consistency"] = consistency.to_dict()
         of_system = [name for name in ("observability", "stability") if name in self.parts]

@@ -20,6 +20,10 @@ from starwise.types import F8, I8, IonosphereModel, Solution
 
 Mask = NDArray[np.bool_]
 
+_COLUMNS = (
+    "t_ns", "sv", "sig", "sig2", "status", "rate_used", "elevation_rad", "azimuth_rad", "cn0_dbhz", "code_m",
+    "ionosphere_m", "innovation_m", "innovation_var_m2", "rate_innovation_mps", "rate_innovation_var_m2ps2",
+)  # fmt: skip
 PRECISE_SIGMA_M = 0.05
 """Claim of precise orbits and clocks, m, where the ledger does not repeat it."""
 
@@ -111,7 +115,7 @@ def run_table(solution: Solution, config: RunConfig, precise: bool = False) -> R
     from starwise.kernels.run_terms import run_terms
 
     ledger = solution.ledger
-    if "elevation_rad" not in ledger or not len(ledger["sv"]):
+    if not set(_COLUMNS) <= set(ledger) or not len(ledger["sv"]):
         raise StarwiseError(
             "no ledger of satellites in this solution", wanted="a result directory of starwise solve with satellites"
         )
