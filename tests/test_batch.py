@@ -242,6 +242,16 @@ def test_failures_do_not_stop_it_and_what_is_done_is_kept(tmp_path, capsys):
     assert not list((out / "unit=good").iterdir())  # a result that holds no longer is none
 
 
+def test_without_ledgers(tmp_path):
+    run_batch(of(unit("a")), tmp_path, workers=1)
+    table = run_batch(of(unit("a", ledger=False)), tmp_path, workers=1)
+    assert not table["resumed"][0]
+    names = sorted(path.name for path in (tmp_path / "unit=a").iterdir())
+    assert names == ["run.json", "solution.parquet", "solution.pos", "unit.json"]
+    assert json.loads((tmp_path / "unit=a" / "run.json").read_text())["files"] == [names[1], names[2], names[0]]
+    assert run_batch(of(unit("a", ledger=False)), tmp_path, workers=1)["resumed"][0]
+
+
 @pytest.mark.parametrize("harm", ["cut", "unfinished", "removed", "unsealed", "swapped"])
 def test_half_written_work_is_not_trusted(tmp_path, harm):
     manifest = of(unit("a"))

@@ -41,6 +41,9 @@ def batch(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Any key of it, for all units; overrides the manifest."),
     ] = None,
+    no_ledger: Annotated[
+        bool, typer.Option("--no-ledger", help="Keep no ledger.parquet: most of the bytes of a result.")
+    ] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the units as a manifest, solve nothing.")] = False,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
@@ -50,7 +53,7 @@ def batch(
     Ends with 1 if a unit failed, with 2 if the list of units is bad.
     """
     from starwise.batch import read_manifest, run_batch, scan
-    from starwise.batch.manifest import as_toml, with_truths
+    from starwise.batch.manifest import as_toml, with_truths, without_ledgers
     from starwise.config import load_config
     from starwise.spread.cluster import check_scheduler
 
@@ -66,6 +69,8 @@ def batch(
             units = read_manifest(manifest, load_config(config), over)
         if truth_table is not None:
             units = with_truths(units, truth_table)
+        if no_ledger:
+            units = without_ledgers(units)
         if dry_run:
             show(as_toml(units))
             return

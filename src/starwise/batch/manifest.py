@@ -194,6 +194,11 @@ def with_truths(manifest: Manifest, table: str | Path) -> Manifest:
     return replace(manifest, units=units)
 
 
+def without_ledgers(manifest: Manifest) -> Manifest:
+    """Manifest whose units keep no ledger."""
+    return replace(manifest, units=lambda: (replace(unit, ledger=False) for unit in manifest.units()))
+
+
 def _truths(path: Path) -> dict[str, tuple[str, float]]:
     try:
         rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))

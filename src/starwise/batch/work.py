@@ -41,6 +41,8 @@ class Unit(Checked):
     """Greatest distance in time to a row of the truth, s."""
     interpolate: bool = False
     """Interpolate the truth between its rows."""
+    ledger: bool = True
+    """Keep ``ledger.parquet``, most of the bytes of a result."""
     config: RunConfig = field(default_factory=RunConfig)
 
     def __post_init__(self) -> None:
@@ -121,6 +123,7 @@ def key_of(unit: Unit, code: str) -> str:
             "roles": [len(unit.obs), len(unit.nav), len(unit.sp3), len(unit.clk)],
             "config": unit.config.to_dict(),
             "truth": [truth, unit.antenna_up_m, unit.tolerance_s, unit.interpolate] if truth else None,
+            "ledger": unit.ledger,
             "code": code,
         }
     )
@@ -187,7 +190,7 @@ def _do_anew(work: Work, key: str, began: float) -> Done:
         if shared or work.token is None:
             store.remove_files((SEAL,), work.place)
             store.remove_leftovers(work.place)
-        files = write_results(solution, work.place if shared else folder)
+        files = write_results(solution, work.place if shared else folder, ledger=unit.ledger)
         written = {name: path.stat().st_size for name, path in files.items()}
         row["bytes_in"] = sum(local[place].stat().st_size for place in dict.fromkeys(unit.files))
         row["bytes_out"] = sum(written.values())

@@ -45,7 +45,7 @@ _DOPS: Final = ("gdop", "pdop", "hdop", "vdop")
 
 
 def write_results(
-    solution: Solution, directory: str | Path, report: Callable[[], bytes] | None = None
+    solution: Solution, directory: str | Path, report: Callable[[], bytes] | None = None, *, ledger: bool = True
 ) -> dict[str, Path]:
     """Write the files of a result into a directory, all or none of the new ones.
 
@@ -59,6 +59,8 @@ def write_results(
     directory : path-like
     report : callable, optional
         Makes ``report.html``, written as a fifth file.
+    ledger : bool
+        Write ``ledger.parquet``; false where nothing is to be asked of it later.
 
     Returns
     -------
@@ -79,6 +81,9 @@ def write_results(
         POS: lambda path: _write_bytes(write_pos(solution, program=_program(solution)), path),
         RUN: lambda path: _write_bytes(_json(_run_record(solution, names, complete=True)), path),
     }
+    if not ledger:
+        del writers[LEDGER]
+        stale.append(folder / LEDGER)
     if report is not None:
         writers[REPORT] = lambda path: _write_bytes(report(), path)
     names = list(writers)
