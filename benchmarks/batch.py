@@ -61,7 +61,7 @@ def measure(units: list, turns: int) -> list[dict]:
                 row = do_unit(Work(number, unit, folder, sources_hash(), str(token))).row
                 spent.append(processor_s() - cpu)
                 wall.append(time.perf_counter() - began)
-                solution = Path(folder, f"unit={unit.name}", "solution.parquet").stat().st_size
+                ledger = Path(folder, f"unit={unit.name}", "ledger.parquet").stat().st_size
         rows.append(
             {
                 "unit": unit.name,
@@ -72,7 +72,7 @@ def measure(units: list, turns: int) -> list[dict]:
                 "wall_s": sorted(wall[1:])[turns // 2],
                 "MB_in": row["bytes_in"] / 1e6,
                 "MB_out": row["bytes_out"] / 1e6,
-                "MB_solution": solution / 1e6,
+                "MB_without_ledger": (row["bytes_out"] - ledger) / 1e6,
             }
         )
     return rows
@@ -81,7 +81,9 @@ def measure(units: list, turns: int) -> list[dict]:
 def estimate(rows: list[dict], core_hour: float, gb_month: float, cores: int) -> dict:
     """A year of 10 000 stations, every unit as the mean of those measured."""
     units = STATIONS * DAYS
-    mean = {name: sum(row[name] for row in rows) / len(rows) for name in ("cpu_s", "MB_in", "MB_out", "MB_solution")}
+    mean = {
+        name: sum(row[name] for row in rows) / len(rows) for name in ("cpu_s", "MB_in", "MB_out", "MB_without_ledger")
+    }
     hours = units * mean["cpu_s"] / 3600
     return {
         "units": units,
@@ -91,7 +93,7 @@ def estimate(rows: list[dict], core_hour: float, gb_month: float, cores: int) ->
         "hours": hours / cores,
         "TB_in": units * mean["MB_in"] / 1e6,
         "TB_out": units * mean["MB_out"] / 1e6,
-        "TB_out_solutions_alone": units * mean["MB_solution"] / 1e6,
+        "TB_without_ledgers": units * mean["MB_without_ledger"] / 1e6,
         "cost_of_computing": hours * core_hour,
         "cost_of_a_month_of_storage": units * mean["MB_out"] / 1e3 * gb_month,
         "core_hour": core_hour,
@@ -131,7 +133,7 @@ def main() -> None:
     print(f"{STATIONS} stations x {DAYS} days = {year['units']} units of {year['cpu_s']:.2f} s")
     print(f"  processor   {year['core_hours']:.0f} core hours; on {args.cores} cores {year['hours']:.1f} h")
     print(f"  read        {year['TB_in']:.1f} TB")
-    print(f"  written     {year['TB_out']:.1f} TB, solutions without ledgers {year['TB_out_solutions_alone']:.1f} TB")
+    print(f"  written     {year['TB_out']:.1f} TB, without ledgers {year['TB_without_ledgers']:.1f} TB")
     print(f"  cost        {year['cost_of_computing']:.0f} at {args.core_hour} per core hour; a month of storage")
     print(f"              {year['cost_of_a_month_of_storage']:.0f} at {args.gb_month} per GB and month")
 
