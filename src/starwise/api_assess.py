@@ -101,7 +101,7 @@ class Laboratory:
         if "consistency" in self.parts:
             from starwise.analysis.lab import Consistency
 
-            whole = solution if _LEDGER <= set(solution.ledger) else replace(solution, ledger={})
+            whole = solution if set(solution.ledger) >= _LEDGER else replace(solution, ledger={})
             consistency = Consistency.of(
                 whole, truth, tolerance_s=self.tolerance_s, interpolate=self.interpolate, vertical=vertical
             )
