@@ -336,6 +336,24 @@ def test_gst_with_holes(gst: str, sigmas: tuple[float, float, float] | None, tmp
     np.testing.assert_allclose(C @ solution.cov_pos[0] @ C.T, np.diag(np.square(sigmas)), rtol=0, atol=1e-6)
 
 
+def test_checksums_wrong_now_and_then_and_always(tmp_path: Path) -> None:
+    pairs = [
+        (
+            checked(f"$GNRMC,0000{i:02d}.00,A,4807.038,N,01131.000,E,,,010122,,,A"),
+            checked(f"$GNGGA,0000{i:02d}.00,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,"),
+        )
+        for i in range(12)
+    ]
+    some = [rmc for rmc, _ in pairs] + [gga[:-2] + "00" if i == 3 else gga for i, (_, gga) in enumerate(pairs)]
+    solution = read_solution(written(tmp_path, "\n".join(some)))
+    assert solution.n_epochs == 11
+    assert solution.provenance["skipped"] == 1
+    every = "\n".join(f"{rmc[:-2]}00\n{gga}" for rmc, gga in pairs)
+    solution = read_solution(written(tmp_path, every))
+    assert solution.n_epochs == 12
+    assert solution.provenance["checksums"] == "wrong in all RMC"
+
+
 @pytest.mark.real
 @pytest.mark.parametrize(
     ("name", "epochs", "sigma_m"),
@@ -344,6 +362,8 @@ def test_gst_with_holes(gst: str, sigmas: tuple[float, float, float] | None, tmp
         ("streams/pyubx2/pygpsdata-MIXED2.log", 1, (44.0, 20.0, 31.0)),
         ("kinematic/phones/android/nmea/pixel6.nmea", 48, None),
         ("kinematic/google_mtv_20200206/MTV.Local1.ublox-F9K.20200206-181434.nmea", 1653, None),
+        # every RMC of this file has a wrong checksum
+        ("kinematic/google_mtv_20200206/MTV.Local1.SPAN.20200206-181434.gga", 1748, None),
     ],
 )
 def test_nmea_of_receivers(

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from starwise.errors import StarwiseError
-from starwise.io.maps import FORMATS, Choice, Exported, export_solutions, name_of, render
+from starwise.io.maps import FORMATS, Choice, Exported, export_solutions, name_of, render, stem_of
 from starwise.io.results import read_solution
 from starwise.types import Solution
 
@@ -89,9 +89,7 @@ def fresh_name(first: PathLike, to: str) -> Path:
     StarwiseError
         It does.
     """
-    path = Path(first)
-    stem = path.resolve().name if path.is_dir() else path.name.split(".")[0] or path.name
-    target = Path(f"{stem}{FORMATS.get(to, '')}")
+    target = Path(f"{stem_of(first)}{FORMATS.get(to, '')}")
     if target.exists():
         raise StarwiseError("exists already", file=target, wanted="-o with the name of the output")
     return target

@@ -37,6 +37,9 @@ SEVERAL: Final = ("geojson", "kml", "gpx")
 """Formats of which one file holds several solutions."""
 SEA_LEVEL: Final = ("kml", "gpx", "nmea")
 """Formats whose heights are above mean sea level."""
+_SUFFIXES: Final = (
+    *FORMATS.values(), ".stat", ".gga", ".nav", ".txt", ".log", ".parquet", ".gz", ".z", ".zip", ".bz2",
+)  # fmt: skip
 _GAP: Final = 10.0
 """A line is interrupted where the step in time is so many times the usual one."""
 
@@ -336,9 +339,15 @@ def name_of(path: str | Path, solution: Solution) -> str:
     """What people call a solution: the marker of its station, or else the name of its directory or file."""
     station: Any = solution.provenance.get("station")
     marker = str(station.get("marker") or "").strip() if isinstance(station, dict) else ""
-    return marker or _stem(path)
+    return marker or stem_of(path)
 
 
-def _stem(path: str | Path) -> str:
+def stem_of(path: str | Path) -> str:
+    """Name of a directory, or of a file without the suffixes that say what it is."""
     path = Path(path)
-    return path.resolve().name if path.is_dir() else path.name.split(".")[0] or path.name
+    if path.is_dir():
+        return path.resolve().name
+    name = path.name
+    while len(stem := Path(name).stem) < len(name) and Path(name).suffix.lower() in _SUFFIXES:
+        name = stem
+    return name

@@ -25,6 +25,9 @@ _SENTENCE: Final = re.compile(
 _ALIKE: Final = 0.3
 """Greatest relative difference between the variances of the ellipse and of latitude and longitude of one GST."""
 
+_MANY: Final = 10
+"""Wrong checksums from which on they are the writer's."""
+
 Row = tuple[int, float, float, float, int, int]
 """GPST ns, latitude, longitude (deg), ellipsoidal height (m), quality, satellites."""
 
@@ -44,6 +47,7 @@ class _Log:
     rows: list[Row] = field(default_factory=list)
     sigmas: dict[int, list[float]] = field(default_factory=dict)
     skipped: int = 0
+    forgiven: tuple[str, ...] = ()
 
 
 def parse_nmea(text: str, name: str) -> Solution:
@@ -53,8 +57,9 @@ def parse_nmea(text: str, name: str) -> Solution:
     sentence. Time is UTC. Covariances are those of the GST of the same time: 1-sigma errors of latitude, longitude and
     height; east and north are correlated as the error ellipse says, where ellipse and sigmas agree. Epochs without GST
     have NaN, and ``provenance["covariance"]`` says how many those are. Sentences with a wrong checksum, and those
-    before the first date, are left out and counted in ``provenance["skipped"]``; a sentence may stand after other
-    things in its line (logs of Android, mixed binary logs).
+    before the first date, are left out and counted in ``provenance["skipped"]``; where a program gets the checksums of
+    one kind of sentence wrong throughout, they are taken and ``provenance["checksums"]`` says so. A sentence may stand
+    after other things in its line (logs of Android, mixed binary logs).
 
     Raises
     ------
@@ -62,8 +67,10 @@ def parse_nmea(text: str, name: str) -> Solution:
         No sentence with a position and a date.
     """
     log = _Log()
-    for match in _SENTENCE.finditer(text):
-        if not _checksum_holds(match):
+    sentences = [(match, _checksum_holds(match)) for match in _SENTENCE.finditer(text)]
+    log.forgiven = _never_right(sentences)
+    for match, right in sentences:
+        if not right and match.group(2) not in log.forgiven:
             log.skipped += 1
             continue
         try:
@@ -96,6 +103,13 @@ def _take(log: _Log, kind: str, fields: list[str]) -> None:
             else:
                 log.rows.append(_row(t_ns, given))
         log.waiting.clear()
+
+
+def _never_right(sentences: list[tuple[re.Match[str], bool]]) -> tuple[str, ...]:
+    """Kinds of sentences of which there are many and not one has the right checksum: the fault of their writer."""
+    counts = Counter(match.group(2) for match, _ in sentences)
+    right = {match.group(2) for match, holds in sentences if holds}
+    return tuple(sorted(kind for kind, count in counts.items() if kind not in right and count >= _MANY))
 
 
 def _checksum_holds(match: re.Match[str]) -> bool:
@@ -184,6 +198,7 @@ def _solution(log: _Log, name: str) -> Solution:
             "height": "ellipsoidal",
             "covariance": "no GST: none" if without == len(rows) else f"GST; {without} epochs without",
             "skipped": log.skipped,
+            "checksums": f"wrong in all {', '.join(log.forgiven)}" if log.forgiven else "right",
             "quality": {str(q): count for q, count in sorted(Counter(quality.tolist()).items())},
         },
         cov_pos=cov_pos,
