@@ -67,7 +67,7 @@ def test_import_is_lazy_and_complete() -> None:
 
 
 def test_whole_job(solved: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert sorted(p.name for p in solved.iterdir()) == sorted(RESULT_FILES)
+    assert sorted(p.name for p in solved.iterdir()) == sorted([*RESULT_FILES, "report.html"])
     record = json.loads((solved / "run.json").read_text())
     assert record["config"]["method"] == "lsq"
     assert record["effective"]["process"]["model"] == "singer"

@@ -76,7 +76,8 @@ def shown_epochs(solution: Solution, local: Local, errors: F8 | None = None) -> 
     if solution.n_epochs <= MAX_EPOCHS:
         return np.arange(solution.n_epochs)
     series = [*local.enu.T, *local.vel.T, *local.sigma.T, solution.nis, solution.n_used.astype(np.float64)]
-    series += [solution.status.astype(np.float64), solution.dop[:, 1]]
+    series += [(solution.status == code).astype(np.float64) for code in np.unique(solution.status)]
+    series.append(solution.dop[:, 1])
     series += [] if errors is None else list(errors.T)
     return thinned(series, MAX_EPOCHS)
 

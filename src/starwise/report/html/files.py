@@ -75,7 +75,7 @@ def write_report(
     if file is None:
         file = place / REPORT if place.is_dir() else place.with_suffix(".html")
     found = read_assessment(place)
-    if found is None and solution.ledger:
+    if found is None and "innovation_var_m2" in solution.ledger:
         from starwise.analysis.lab import Consistency
 
         found = {"consistency": Consistency.of(solution, known).to_dict()}

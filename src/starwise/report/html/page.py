@@ -89,9 +89,9 @@ def rendered(template: str, data: dict[str, Any] | None, **context: Any) -> byte
         .get_template(template)
         .render(
             policy=policy,
-            style=Markup(style()),  # noqa: S704 - files of this package, not input
-            script=Markup(own_js()),  # noqa: S704
-            plotly=Markup(plotly),  # noqa: S704
+            style=Markup(style()),
+            script=Markup(own_js()),
+            plotly=Markup(plotly),
             data=Markup(safe_json(data if data is not None else {})),
             version=__version__,
             **context,

@@ -200,13 +200,14 @@ def autocorrelation_payload(solution: Solution, cells: Cells) -> dict[str, Any] 
     if norm is None:
         return None
     there = (cells.status == ROW_USED) & np.isfinite(norm)
-    sv, epoch, v = cells.sv[there], cells.epoch[there], np.clip(norm[there], -6.0, 6.0)
+    if not there.any():
+        return None
+    key, v = cells.sv[there] * np.int64(solution.n_epochs + LAGS + 1) + cells.epoch[there], np.clip(norm[there], -6, 6)
     rho, pairs = [], []
     for lag in range(1, LAGS + 1):
-        if len(v) <= lag:
-            break
-        same = (sv[lag:] == sv[:-lag]) & (epoch[lag:] == epoch[:-lag] + lag)
-        a, b = v[:-lag][same], v[lag:][same]
+        later = np.minimum(np.searchsorted(key, key + lag), len(key) - 1)
+        same = key[later] == key + lag
+        a, b = v[same], v[later[same]]
         size = float(np.sqrt((a * a).sum() * (b * b).sum()))
         if len(a) < 20 or size == 0.0:
             break

@@ -37,8 +37,9 @@ listeners.push((what) => {
 // Colours: as the system says until the switch is used
 const dark = matchMedia("(prefers-color-scheme: dark)");
 let chosen = null;
+const theme = () => (printing ? "light" : chosen || (dark.matches ? "dark" : "light"));
 function applyTheme() {
-  const now = printing ? "light" : chosen || (dark.matches ? "dark" : "light");
+  const now = theme();
   if (root.dataset.theme === now) return;
   root.dataset.theme = now;
   const button = document.getElementById("theme");
@@ -51,21 +52,20 @@ const printButton = document.getElementById("print");
 printButton.hidden = false;
 printButton.addEventListener("click", () => window.print());
 
-function drawAll() { begin(); for (const p of panels.values()) p.draw(); }
 function resize() { for (const p of panels.values()) if (p.gd && p.size().width !== p.width) { p.width = p.size().width; p.redraw(); } }
 addEventListener("beforeprint", () => {
   printing = true;
   root.classList.add("printing");
-  drawAll();
-  applyTheme();
   for (const d of document.querySelectorAll("details")) { d.dataset.was = d.open ? "1" : ""; d.open = true; }
-  for (const p of panels.values()) p.redraw();
+  begin();
+  root.dataset.theme = "light";
+  for (const p of panels.values()) if (p.gd) p.redraw(); else p.draw();
 });
 addEventListener("afterprint", () => {
   printing = false;
   root.classList.remove("printing");
   for (const d of document.querySelectorAll("details")) d.open = d.dataset.was === "1";
-  applyTheme();
+  root.dataset.theme = theme();
   for (const p of panels.values()) p.redraw();
 });
 
