@@ -267,7 +267,11 @@ def test_sizes_of_simulated_residuals(tmp_path: Path) -> None:
 
 @pytest.mark.real
 def test_assess_a_stat(
-    kiru: Callable[[str], Path], truth: dict[str, Any], capsys: pytest.CaptureFixture[str], shared_data: Path
+    kiru: Callable[[str], Path],
+    truth: dict[str, Any],
+    capsys: pytest.CaptureFixture[str],
+    shared_data: Path,
+    tmp_path: Path,
 ) -> None:
     stat = kiru("spp").with_name("spp.pos.stat")
     place = ",".join(str(v) for v in truth["KIRU_2024.244"]["marker_ecef_m"])
@@ -279,13 +283,16 @@ def test_assess_a_stat(
     assert max(len(line) for line in shown.splitlines()[1:]) <= 80
     assert run(["assess", str(stat), "--truth", place, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
-    pos = json.loads(json.dumps(starwise.assess(kiru("spp"), place)))
+    pos = starwise.assess(kiru("spp"), place)
     assert report["rms_3d_m"] == pytest.approx(pos["rms_3d_m"], abs=1e-4)  # both files have 0.1 mm
+    assert pos["consistency"]["sizes"] == report["consistency"]["sizes"]  # of the status file beside the positions
+    assert pos["coverage_95"] > 0.9
     assert report["coverage_95"] is None
     assert report["consistency"]["grade"] == "inconsistent"
     assert len(report["consistency"]["satellites"]) > 40
-    with pytest.raises(StarwiseError, match=r"not its \.stat"):
-        run(["assess", str(kiru("spp")), "--rtklib-conf", str(conf)])
+    alone = written(tmp_path, kiru("spp").read_bytes(), "alone.pos")
+    with pytest.raises(StarwiseError, match="without residuals"):
+        run(["assess", str(alone), "--rtklib-conf", str(conf)])
 
 
 def test_assess_residuals_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

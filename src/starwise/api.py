@@ -281,13 +281,14 @@ def assess(
     StarwiseError
         A file that cannot be read, or nothing to compare.
     """
+    from starwise.studies.residuals import judge_residuals, source_of_residuals
+
     residuals, positions = None, True
     if not isinstance(solution, Solution):
-        from starwise.studies.residuals import residuals_of_file
-
-        residuals, positions = residuals_of_file(solution, rtklib_conf)
+        residuals, positions = source_of_residuals(solution, rtklib_conf)
     if residuals is not None and not positions:
-        return {"consistency": residuals.to_dict(), "notes": list(residuals.notes)}
+        alone = judge_residuals(residuals)
+        return {"consistency": alone.to_dict(), "notes": list(alone.notes)}
     source = solution
     laboratory = Laboratory(tuple(parts), what_if, windows, steps, tolerance_s, interpolate)
     solution, truth, vertical = _judged(solution, truth, antenna_up_m, geoid_m, laboratory.needed)
@@ -306,8 +307,9 @@ def assess(
     found, consistency = laboratory.records(solution, truth, vertical)
     report |= found
     if residuals is not None:
-        report["consistency"] = residuals.to_dict()
-        notes += residuals.notes
+        judged = judge_residuals(residuals, conf=rtklib_conf, solution=solution, truth=truth, vertical=vertical)
+        report["consistency"] = judged.to_dict()
+        notes += judged.notes
     report["notes"] = notes
     tuning = None
     if tune or suggest is not None or (write is not False and "consistency" in parts):

@@ -8,8 +8,6 @@ from starwise.io.files import read_bytes
 from starwise.types import Solution
 
 _HEAD: Final = 1 << 16
-RESIDUALS: Final = ("stat", "gnss_lib_py residuals")
-"""Kinds of files that hold residuals (``.stat``: beside positions)."""
 
 
 def kind_of(path: str | Path) -> str:

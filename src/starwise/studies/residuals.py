@@ -20,7 +20,7 @@ import numpy as np
 from starwise.analysis.lab import Consistency
 from starwise.constants import SYS_R, SYS_S
 from starwise.errors import StarwiseError
-from starwise.io.foreign import RESIDUALS, kind_of
+from starwise.io.foreign import kind_of
 from starwise.io.residuals import Residuals, read_residuals
 from starwise.io.rtklib_conf import values_of
 from starwise.io.stat import has_residuals
@@ -117,31 +117,30 @@ def weights_of(conf: str | Path) -> Weights:
     return Weights(a_m, b_m, ionosphere_free=values.get("pos1-ionoopt", "").lower() in ("dual-freq", "3"))
 
 
-def residuals_of_file(path: str | Path, conf: str | Path | None = None) -> tuple[ResidualReport | None, bool]:
-    """What the laboratory says of a file's residuals, and whether the file has positions of that program, too.
+def source_of_residuals(path: str | Path, conf: str | Path | None = None) -> tuple[Path | None, bool]:
+    """File with the residuals of a solution, and whether the solution's own file has positions, too.
 
     Parameters
     ----------
     path : path-like
-        Any solution; None for those without residuals.
+        Any solution. A `.pos` file has the residuals of the ``.pos.stat`` that RTKLIB wrote beside it.
     conf : path-like, optional
-        Options that RTKLIB ran with.
+        Options that RTKLIB ran with: there must be a ``.stat``.
 
     Raises
     ------
     StarwiseError
-        A file of residuals that cannot be read, or options without a ``.stat``.
+        Options without a ``.stat``.
     """
     path = Path(path)
     kind = kind_of(path) if path.is_file() else ""
-    if conf is not None and kind != "stat":
-        raise StarwiseError("options of RTKLIB for a file that is not its .stat", file=path, wanted="a .stat")
-    if kind not in RESIDUALS:
-        return None, True
-    if kind == "stat" and not has_residuals(path):
-        return None, True
+    stat = path if kind == "stat" else path.with_name(f"{path.name}.stat") if kind == "pos" else None
+    if stat is not None and not (stat.is_file() and kind_of(stat) == "stat" and has_residuals(stat)):
+        stat = None
+    if conf is not None and stat is None:
+        raise StarwiseError("options of RTKLIB without residuals", file=path, wanted="a .stat with $SAT records")
     # The positions of a gnss_lib_py table of measurements are those of the data set, not of its solution.
-    return judge_residuals(path, conf=conf), kind == "stat"
+    return (path, False) if kind == "gnss_lib_py residuals" else (stat, True)
 
 
 def judge_residuals(
@@ -150,6 +149,7 @@ def judge_residuals(
     conf: str | Path | None = None,
     solution: Solution | None = None,
     truth: Truth | None = None,
+    vertical: bool = True,
 ) -> ResidualReport:
     """Whether the residuals of another program are white, without bias, and of the sizes that its weights assume.
 
@@ -159,8 +159,8 @@ def judge_residuals(
         A file that `starwise.io.residuals.read_residuals` reads.
     conf : path-like, optional
         Options that RTKLIB ran with; default: its defaults.
-    solution, truth : optional
-        Positions of the same run, and the truth, for what `Consistency` says of positions.
+    solution, truth, vertical : optional
+        Positions of the same run, the truth, and whether their heights compare, for what is said of positions.
 
     Raises
     ------
@@ -205,6 +205,7 @@ def judge_residuals(
         residuals=True,
         solution=solution,
         truth=truth,
+        vertical=vertical,
     )
     return ResidualReport(consistency, sizes, tuple(notes))
 
