@@ -1,6 +1,6 @@
 """The default filter at known points and in a street: accuracy beside RTKLIB, and a covariance to be believed.
 
-Bands are those that any parameters must meet; what was measured stands in the README and is printed by
+Bands are those that any parameters must meet; what was measured stands in docs/measured.md and is printed by
 ``benchmarks/honesty.py`` and ``benchmarks/urban.py``.
 """
 

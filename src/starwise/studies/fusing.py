@@ -145,7 +145,7 @@ def fuse_text(record: dict[str, Any], output: Path | None) -> str:
     lines += [f"  {name}: {fixes} fixes, {refused} refused" for name, fixes, refused in rows]
     if record.get("noise_scale") is not None:
         lines.append(
-            f"  noise against what the files claim: x {record['noise_scale']:.2f}; "
+            f"  noise against that claimed: x {record['noise_scale']:.2f}; "
             f"correlation from epoch to epoch {record['noise_correlation']:.2f}"
         )
     elif "noise_scale" in record:
