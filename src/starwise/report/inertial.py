@@ -7,6 +7,7 @@ import numpy as np
 from starwise.constants import EPOCH_COASTED
 from starwise.gnsstime import iso
 from starwise.report.text import _field as field
+from starwise.report.text import report_line
 from starwise.types import Solution
 
 _SHOWN = (
@@ -49,5 +50,6 @@ def inertial_text(solution: Solution, directory: str | Path, elapsed_s: float) -
     for item in sorted(p.get("problems", ()), key=lambda problem: -problem["count"])[:5]:
         lines += field("problem", f"{item['what']} ({item['count']} x, first {Path(item['file']).name}:{item['line']})")
     lines += ["", *field("results", f"{directory}/  solution.parquet solution.pos ledger.parquet run.json")]
+    lines += report_line(directory)
     lines += field("time", f"{elapsed_s:.2f} s")
     return "\n".join(lines)

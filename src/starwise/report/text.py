@@ -47,8 +47,15 @@ def solve_text(provenance: Mapping[str, Any], directory: str | Path, elapsed_s: 
     lines += _event_lines(provenance)
     lines += _notes(provenance)
     lines += ["", *_field("results", f"{directory}/  solution.parquet ledger.parquet solution.pos run.json")]
+    lines += report_line(directory)
     lines += _field("time", f"{elapsed_s:.2f} s")
     return "\n".join(lines)
+
+
+def report_line(directory: str | Path) -> list[str]:
+    """Where the report is, if it was written."""
+    page = Path(directory) / "report.html"
+    return _field("report", f"{page}  (opens in any browser)") if page.is_file() else []
 
 
 def _dynamics(record: Mapping[str, Any]) -> str:
