@@ -36,7 +36,7 @@ def run_demo(
     Parameters
     ----------
     directory : path-like
-        Where the results go: the simulation's files, a directory per method, and a picture of the track.
+        Where the results go: the simulation's files, a directory per method, and the report.
     progress : callable, optional
     report : bool
         Write ``report.html``: the solution against its truth.
@@ -49,9 +49,7 @@ def run_demo(
     import time
     from concurrent.futures import ThreadPoolExecutor
 
-    from starwise.errors import StarwiseError
     from starwise.io.truth import read_truth
-    from starwise.report.track import track_svg
     from starwise.sim.run import simulate
     from starwise.sim.scenario import load_scenario
     from starwise.sim.writers import write_files
@@ -78,12 +76,7 @@ def run_demo(
             report=False,
         )
         reports[method] = api.assess(solution, truth, parts=())
-    picture = folder / "track.svg"
     shown = read_solution(folder / METHODS[-1], ledger=False)
-    try:
-        picture.write_text(track_svg(shown, truth, title=f"{SCENARIO}, {METHODS[-1]}"), encoding="utf-8")
-    except OSError as error:
-        raise StarwiseError(f"cannot be written ({error.strerror})", file=picture) from None
     if report:
         from starwise.report.html import write_report
 
@@ -93,7 +86,6 @@ def run_demo(
     text = solve_text(shown.provenance, folder / METHODS[-1], time.perf_counter() - began)
     record = {
         "directory": str(folder),
-        "picture": str(picture),
         "scenario": SCENARIO,
         "simulated": {kind: str(path) for kind, path in files.items()},
         "assessment": reports,
@@ -131,7 +123,6 @@ def _where(folder: Path, report: bool) -> list[str]:
     last = METHODS[-1]
     files = (
         *([("report.html", "everything about it, in any browser: begin here")] if report else []),
-        ("track.svg", "the track and its errors, in any browser"),
         (f"{last}/solution.pos", "for RTKPLOT and other readers of RTKLIB files"),
         (f"{last}/ledger.parquet", "why each satellite was used or refused"),
         (f"{last}/run.json", "what exactly was run, on what"),
