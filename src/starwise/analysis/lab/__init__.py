@@ -1,6 +1,7 @@
 """The laboratory: whether a filter is consistent with what it measures, why not, and what to do about it.
 
-`Consistency.of` takes a run with its ledger, `Consistency.from_innovations` a plain table of innovations of any program.
+`Consistency.of` takes a run with its ledger, `Consistency.from_innovations` a plain table of innovations of any
+program.
 """
 
 from starwise.analysis.lab.consistency import Consistency

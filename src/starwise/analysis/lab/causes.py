@@ -11,243 +11,119 @@
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from starwise.analysis.lab.checks import (
-    MIN_ROWS,
-    Check,
-    Family,
-    Split,
-    groups,
-    pooled_correlation,
-    refusals,
-    state_correlation,
-)
+from starwise.analysis.lab.case import ALPHA, MATTERS_SCALE, Case, num
+from starwise.analysis.lab.causes_size import size_findings
+from starwise.analysis.lab.checks import Check
+from starwise.analysis.lab.checks_series import pooled_correlation, refusals, state_correlation
 from starwise.analysis.lab.findings import Cause, Finding
-from starwise.analysis.lab.innovations import UNITS, Innovations
-from starwise.analysis.lab.moments import sidak
-from starwise.analysis.lab.series import Series, correlation_time, effective_share
+from starwise.analysis.lab.innovations import UNITS
+from starwise.analysis.lab.series import correlation_time, effective_share
+from starwise.types import F8
 
-ALPHA: Final = 0.05
-MATTERS_SCALE: Final = 1.25
-"""Ratio of true to assumed variance, or its inverse, from which an error of R or Q matters: 12 % in sigma."""
-MATTERS_RHO: Final = 0.15
+MATTERS_RHO: Final = 0.05
 MATTERS_BIAS: Final = 0.25
 """Of the claimed sigma of an innovation."""
-UNEVEN: Final = 1.3
-"""Ratio between the noise of groups above which they are named one by one."""
-
-
-@dataclass(frozen=True)
-class Case:
-    """All that causes are decided on."""
-
-    table: Innovations
-    stats: Series
-    families: dict[str, Family]
-    parts: dict[str, Split]
-
-    def adjusted(self, name: str, p: float) -> float:
-        """P-value corrected for the tests of its family, and for the families."""
-        own = self.families[name]
-        tested = sum(1 for f in self.families.values() if f.tests)
-        return float(sidak(float(sidak(p, max(len(own.tests), 1))), max(tested, 1)))
-
-    def members(self, kind: str) -> list[int]:
-        """Channels of a sensor with enough rows."""
-        return [i for i, c in enumerate(self.table.channels) if c.kind == kind and self.stats.n[i] >= MIN_ROWS]
-
-    @property
-    def kinds(self) -> list[str]:
-        """Sensors that have channels to be judged."""
-        return [k for k in dict.fromkeys(c.kind for c in self.table.channels) if self.members(k)]
-
-
-def scale_gain(ratio: float, n: float) -> float:
-    """Log likelihood gained by n innovations when their variance is taken ``ratio`` times as large, at its best."""
-    return 0.5 * n * (ratio - 1.0 - math.log(max(ratio, 1e-300)))
+LASTING_MEANS: Final = 4.0
+"""Median of channel means, in their standard deviations, from which lasting errors are meant, not single biases."""
+SAFE: Final = frozenset({Cause.R_TOO_LARGE, Cause.Q_TOO_LARGE, Cause.MODEST})
+"""Causes by which a filter claims less than it knows: blunt, not wrong."""
+RANK: Final = {
+    Cause.OVERCONFIDENT: 1, Cause.R_TOO_LARGE: 2, Cause.Q_TOO_LARGE: 2, Cause.MODEST: 3, Cause.CROSS_CORRELATED: 4,
+}  # fmt: skip
+"""Order in which findings are told: causes by which a covariance is too small (0), that it is too small, causes by
+which it is too large, that it is, and what is a symptom of any of them."""
 
 
 def find(case: Case) -> list[Finding]:
     """Causes found, the one with the most evidence first."""
     found = [
         *size_findings(case), *correlated_findings(case), *bias_findings(case), *tail_findings(case),
-        *delay_findings(case), *cross_findings(case),
+        *delay_findings(case),
     ]  # fmt: skip
-    return sorted(found, key=lambda f: (not f.matters, -f.evidence))
+    late = next((f for f in found if f.cause is Cause.DELAY), None)
+    if late is not None:
+        # What goes with changes of the velocity to this extent is no chance, and makes all else look wrong, too.
+        most = max((f.evidence for f in found if f.cause not in SAFE), default=0.0)
+        if late.evidence > 0.2 * most:
+            found = [replace(f, evidence=most + 1.0) if f is late else f for f in found]
+    return ranked([*found, *cross_findings(case, any(f.matters for f in found))])
 
 
-def size_findings(case: Case) -> list[Finding]:
-    """R and Q: too small or too large."""
-    out: list[Finding] = []
-    for kind in case.kinds:
-        members = case.members(kind)
-        rows = float(case.stats.square_mean[members].sum())
-        ratio = float(case.stats.square[members].sum()) / rows
-        part = case.parts.get(kind)
-        if part is not None:
-            p_noise = case.adjusted("state", part.noise_p)
-            p_state = case.adjusted("state", part.state_p)
-            if part.gain_state > part.gain_noise and p_state < ALPHA:
-                out.append(_process(case, kind, part.state, p_state, part.gain_state))
-                continue
-            if p_noise < ALPHA:
-                out += _noise(case, kind, members, part.noise, p_noise, part.gain_noise)
-                continue
-        else:
-            p = min((t.p for t in case.families["size"].tests if set(t.group) <= set(members)), default=1.0)
-            p = case.adjusted("size", p)
-            rho, pairs = pooled_correlation(case.stats, members)
-            t = float(rho[0]) * math.sqrt(float(pairs[0])) if math.isfinite(float(rho[0])) else 0.0
-            if p < ALPHA and abs(t) > 3.0 and (ratio > 1.0) == (t > 0.0):
-                out.append(_process(case, kind, ratio, p, scale_gain(ratio, rows)))
-                continue
-            if p < ALPHA and abs(ratio - 1.0) > 0.02:
-                out += _noise(case, kind, members, ratio, p, scale_gain(ratio, rows))
-                continue
-        out += _uneven(case, kind, members, ratio)
-    return out
-
-
-def _process(case: Case, kind: str, ratio: float, p: float, evidence: float) -> Finding:
-    small = ratio > 1.0
-    amount = f"{ratio if small else 1.0 / ratio:.2g} x too {'small' if small else 'large'}"
-    what = {"code": "position and clock", "rate": "velocity and drift"}.get(kind, "states")
-    words = f"The predicted uncertainty of {what} is {amount} in variance (seen by {kind})."
-    cure = (
-        "Raise the process noise (motion, clock), or free what the filter holds fixed."
-        if small
-        else "Lower the process noise: the filter forgets what it knows."
-    )
-    return Finding(
-        Cause.Q_TOO_SMALL if small else Cause.Q_TOO_LARGE, f"states, by {kind}", ratio, "true / assumed variance", p,
-        evidence, not 1.0 / MATTERS_SCALE < ratio < MATTERS_SCALE, words, cure, {"process": ratio},
-    )  # fmt: skip
-
-
-def _noise(case: Case, kind: str, members: list[int], ratio: float, p: float, evidence: float) -> list[Finding]:
-    """One finding for a sensor, or one for each of its groups where they differ."""
-    uneven = _by_group(case, kind, members)
-    if not uneven:
-        return [_noise_finding(kind, ratio, p, evidence)]
-    out = []
-    for name, some in uneven.items():
-        rows = float(case.stats.square_mean[some].sum())
-        own = float(case.stats.square[some].sum()) / rows
-        if abs(math.log(own)) * math.sqrt(rows / 2.0) > 4.0:
-            out.append(_noise_finding(name, own, p, scale_gain(own, rows)))
-    return out or [_noise_finding(kind, ratio, p, evidence)]
-
-
-def _by_group(case: Case, kind: str, members: list[int]) -> dict[str, list[int]]:
-    """Groups by system and signal of a sensor whose noise differs by more than `UNEVEN`, and provably; else none."""
-    made: dict[str, list[int]] = {}
-    for i in members:
-        c = case.table.channels[i]
-        made.setdefault(f"{c.system} {c.signal} {kind}".strip(), []).append(i)
-    if len(made) < 2:
-        return {}
-    logs, weights = [], []
-    for some in made.values():
-        rows = float(case.stats.square_mean[some].sum())
-        logs.append(math.log(max(float(case.stats.square[some].sum()) / rows, 1e-12)))
-        weights.append(rows / 2.0)
-    mean = float(np.average(logs, weights=weights))
-    far = [
-        abs(x - mean) > math.log(UNEVEN) and abs(x - mean) * math.sqrt(w) > 4.0
-        for x, w in zip(logs, weights, strict=True)
-    ]
-    return made if any(far) else {}
-
-
-def _noise_finding(where: str, ratio: float, p: float, evidence: float) -> Finding:
-    small = ratio > 1.0
-    amount = f"{ratio if small else 1.0 / ratio:.2g} x too {'small' if small else 'large'}"
-    words = f"R of {where} is {amount} (variance)."
-    factor = math.sqrt(ratio)
-    cure = (
-        f"Take its sigma {factor:.2g} times as large."
-        if small
-        else f"Take its sigma {factor:.2g} times as large as it is."
-    )
-    return Finding(
-        Cause.R_TOO_SMALL if small else Cause.R_TOO_LARGE, where, ratio, "true / assumed variance", p, evidence,
-        not 1.0 / MATTERS_SCALE < ratio < MATTERS_SCALE, words, cure, {"sigma": factor},
-    )  # fmt: skip
-
-
-def _uneven(case: Case, kind: str, members: list[int], ratio: float) -> list[Finding]:
-    """Single channels and groups whose size is off while the sensor as a whole is right."""
-    out = []
-    for check in case.families["size"].tests:
-        if not set(check.group) <= set(members) or len(check.group) == len(members):
-            continue
-        p = case.adjusted("size", check.p)
-        if p < ALPHA:
-            rows = float(case.stats.square_mean[list(check.group)].sum())
-            out.append(_noise_finding(check.what, check.statistic, p, scale_gain(check.statistic, rows)))
-    return sorted(out, key=lambda f: -f.evidence)[:5]
+def ranked(found: list[Finding]) -> list[Finding]:
+    """Findings that matter first; of them those that make a covariance too small; then by evidence."""
+    return sorted(found, key=lambda f: (not f.matters, RANK.get(f.cause, 0), -f.evidence))
 
 
 def correlated_findings(case: Case) -> list[Finding]:
     """Errors that last: autocorrelation of rows as far as they are noise."""
     out: list[Finding] = []
-    p_family = case.families["whiteness"]
     for kind in case.kinds:
         members = case.members(kind)
-        p = min((t.p for t in p_family.tests if set(t.group) <= set(members)), default=1.0)
-        p = case.adjusted("whiteness", p)
+        p = case.smallest("whiteness", members)
+        means = case.stats.mean_z[members] * np.sqrt(case.stats.n[members] / np.maximum(case.stats.nis[members], 1e-12))
+        if len(members) >= 4 and float(np.median(np.abs(means))) > LASTING_MEANS:
+            out.append(_lasting(case, kind, members, means))
+            continue
         if p >= ALPHA:
             continue
-        rho, pairs = pooled_correlation(case.stats, members)
-        each = [
-            i for i in members
-            if np.isfinite(case.stats.rho[i, 0]) and case.stats.rho[i, 0] * math.sqrt(case.stats.pairs[i, 0]) > 4.0
-        ]  # fmt: skip
+        first = case.first_lags(members)
+        some = [i for i, t in zip(members, first, strict=True) if t > 4.0]
         t, noise_rho = state_correlation(case.table, kind, False)
-        tau = correlation_time(rho, pairs, case.stats.lags, case.table.interval_s)
-        if float(rho[0]) > 0.0 and t > 3.0:
-            evidence = (
-                0.5 * t * t if noise_rho < 0.5 else -0.5 * float(pairs[0]) * math.log(1.0 - min(noise_rho, 0.9999) ** 2)
-            )
-            few = (
-                [i for i in each if case.stats.rho[i, 0] > 2.0 * abs(float(rho[0]))]
-                if len(each) * 3 < len(members)
-                else []
-            )
-            if few and len(few) <= 3:
-                out += [
-                    _correlated(case, case.table.channels[i].label, case.stats.rho[i], case.stats.pairs[i], p)
-                    for i in few
-                ]
-            else:
-                out.append(_correlated_words(kind, float(rho[0]), tau, p, evidence, len(each), len(members)))
+        if len(some) >= len(members) / 3 or (t > 4.0 and len(some) > 3):
+            if t > 3.0:
+                evidence = max(0.5 * t * t, _gain(noise_rho, float(case.stats.pairs[members, 0].sum())))
+                rho, pairs = pooled_correlation(case.stats, members)
+                out.append(_correlated(case, kind, members, rho, pairs, p, evidence, len(some)))
+        else:
+            for i in some[:3]:
+                rho, pairs = case.stats.rho[i], case.stats.pairs[i]
+                name = case.table.channels[i].label
+                out.append(_correlated(case, name, [i], rho, pairs, p, _gain(float(rho[0]), float(pairs[0])), 1))
     return out
 
 
-def _correlated(case: Case, name: str, rho: np.ndarray, pairs: np.ndarray, p: float) -> Finding:
-    tau = correlation_time(rho, pairs, case.stats.lags, case.table.interval_s)
-    first = float(rho[0])
-    return _correlated_words(
-        name, first, tau, p, -0.5 * float(pairs[0]) * math.log(1.0 - min(first, 0.9999) ** 2), 1, 1
-    )
-
-
-def _correlated_words(where: str, rho: float, tau: float, p: float, evidence: float, some: int, many: int) -> Finding:
-    lasts = f" for about {tau:.2g} s" if math.isfinite(tau) else ""
-    share = f" ({some} of {many} channels)" if many > 1 else ""
-    words = f"Innovations of {where} are correlated{lasts}{share}: {rho:.2f} from one epoch to the next."
+def _lasting(case: Case, kind: str, members: list[int], means: F8) -> Finding:
+    """Errors that last longer than satellites are seen: most channels have a mean of their own."""
+    stats = case.stats
+    n = stats.n[members].astype(np.float64)
+    long_run = float(np.average(stats.mean_z[members] ** 2 * n + stats.nis[members], weights=n))
+    evidence = 0.5 * float((means**2).sum())
+    words = f"Most channels of {kind} have a mean of their own: errors last longer than a satellite is seen."
     cure = (
-        f"Model a Markov error of {0.5 * tau:.2g}-{2.0 * tau:.2g} s (error_model colored), or inflate R."
-        if math.isfinite(tau)
-        else "Model a Markov error, or inflate R."
+        f"Give each satellite an error state of an hour or more (error_model colored), or inflate R {num(long_run)} x."
     )
-    return Finding(
-        Cause.CORRELATED, where, tau, "s", p, evidence, rho > MATTERS_RHO, words, cure, {"error_model": "colored"}
-    )
+    if long_run <= MATTERS_SCALE:
+        cure = "Harmless here: they are so small that even their sum is within what is claimed."
+    seen = float(np.median(n)) * case.table.interval_s
+    return Finding(Cause.CORRELATED, kind, seen, "s", 0.0, evidence, long_run > MATTERS_SCALE, words, cure)
+
+
+def _gain(rho: float, pairs: float) -> float:
+    """Log likelihood gained by an autoregression of first order."""
+    return -0.5 * pairs * math.log(1.0 - min(abs(rho), 0.9999) ** 2)
+
+
+def _correlated(
+    case: Case, where: str, members: list[int], rho: F8, pairs: F8, p: float, evidence: float, some: int
+) -> Finding:
+    """Correlated innovations; they matter as far as their sum varies by more than the filter claims."""
+    tau = correlation_time(rho, pairs, case.stats.lags, case.table.interval_s)
+    ratio, _ = case.ratio(members)
+    long_run = ratio / effective_share(rho, case.stats.lags)
+    lasts = f" for {num(tau)} s" if tau > case.table.interval_s else ""
+    share = f" ({some} of {len(members)} channels)" if len(members) > 1 else ""
+    words = f"Innovations of {where} are correlated{lasts}{share}: {rho[0]:.2f} from one epoch to the next."
+    cure = f"Model a Markov error of {num(0.5 * tau)}-{num(2.0 * tau)} s (error_model colored), or inflate R"
+    cure += f" {num(long_run)} x."
+    if long_run <= 1.0:
+        cure = "Harmless here: they are so small that even their sum is within what is claimed."
+    matters = float(rho[0]) > MATTERS_RHO and long_run > MATTERS_SCALE
+    return Finding(Cause.CORRELATED, where, tau, "s", p, evidence, matters, words, cure)
 
 
 def bias_findings(case: Case) -> list[Finding]:
@@ -273,8 +149,7 @@ def bias_findings(case: Case) -> list[Finding]:
             Finding(
                 Cause.BIAS, c.label, float(stats.bias[i]), UNITS[c.kind], p, 0.5 * t * t,
                 abs(float(stats.mean_z[i])) > MATTERS_BIAS, words, f"Leave {c.sv} out, or estimate its bias.",
-                {"exclude": [c.sv]} if c.sv else {},
-            )
+                            )
         )  # fmt: skip
     return sorted(out, key=lambda f: -f.evidence)[:8]
 
@@ -295,28 +170,26 @@ def tail_findings(case: Case) -> list[Finding]:
     expected = max(expected_refusals(case), 0.5)
     if worst.what == "gate" and refused < 2.0 * expected:
         return []  # the size of the rest explains them
-    words = (
-        f"{100.0 * share:.2g} % of the rows are outside the gate, {100.0 * case.table.gate_probability:.2g} % expected."
-        if worst.what == "gate"
-        else f"Innovations of {worst.what} have heavy tails: kurtosis {worst.statistic:.2g}, 3 of a normal distribution."
-    )
+    gate = worst.what == "gate"
+    words = f"Innovations of {worst.what} have heavy tails: kurtosis {worst.statistic:.2g}, 3 if normal."
+    matters = share > 0.01 or (not gate and worst.statistic > 4.0 and case.ratio(list(worst.group))[0] > 0.5)
+    if gate:
+        nominal = 100.0 * case.table.gate_probability
+        words = f"{100.0 * share:.2g} % of the rows are outside the gate, {nominal:.2g} % expected."
     evidence = refused * math.log(max(refused / expected, 1.0)) - max(refused - expected, 0.0)
-    return [
-        Finding(
-            Cause.HEAVY_TAILS, worst.what, worst.statistic, "kurtosis" if worst.what != "gate" else "share", p, evidence,
-            share > 0.01 or (worst.what != "gate" and worst.statistic > 4.0), words,
-            "Keep the gate, use robust weights (early_sigma, late_sigma), or a mask on C/N0 and elevation.",
-        )
-    ]  # fmt: skip
+    cure = "Keep the gate, use robust weights (early_sigma, late_sigma), or a mask on C/N0 and elevation."
+    unit = "share" if gate else "kurtosis"
+    return [Finding(Cause.HEAVY_TAILS, worst.what, worst.statistic, unit, p, evidence, matters, words, cure)]
 
 
 def _scatter_of_means(case: Case, kind: str) -> float:
     """Standard deviation of channel means where errors last in most channels (lasting errors have means); else 0."""
     members = case.members(kind)
     first = case.stats.rho[members, 0] * np.sqrt(case.stats.pairs[members, 0])
-    if len(members) < 4 or not np.mean(first > 3.0) > 0.5:
-        return 0.0
     means = case.stats.mean_z[members]
+    far = np.abs(means) * np.sqrt(case.stats.n[members] / np.maximum(case.stats.nis[members], 1e-12))
+    if len(members) < 4 or not (np.mean(first > 3.0) > 0.5 or float(np.median(far)) > LASTING_MEANS):
+        return 0.0
     return 1.4826 * float(np.median(np.abs(means - np.median(means))))
 
 
@@ -360,17 +233,14 @@ def delay_findings(case: Case) -> list[Finding]:
     if p >= ALPHA:
         return []
     late = best.statistic > 0.0
-    words = f"Positions are {'late' if late else 'early'} by {abs(best.statistic):.2g} s: innovations go with changes of velocity."
-    return [
-        Finding(
-            Cause.DELAY, "positions", best.statistic, "s", p, best.evidence, True, words,
-            "Correct the time tags, or tell the filter the delay (available_ns of fixes; state time_offset).",
-        )
-    ]  # fmt: skip
+    said = f"{'late' if late else 'early'} by {num(abs(best.statistic))} s"
+    words = f"Positions are {said}: innovations go with changes of velocity."
+    cure = "Correct the time tags, or tell the filter the delay (available_ns of fixes; state time_offset)."
+    return [Finding(Cause.DELAY, "positions", best.statistic, "s", p, best.evidence, True, words, cure)]
 
 
-def cross_findings(case: Case) -> list[Finding]:
-    """Channels whose errors go together."""
+def cross_findings(case: Case, explained: bool) -> list[Finding]:
+    """Channels whose errors go together: a cause by itself only where no other is found."""
     own = case.families["cross"]
     out: list[Finding] = []
     for check in sorted(own.tests, key=lambda c: c.p)[:3]:
@@ -378,13 +248,8 @@ def cross_findings(case: Case) -> list[Finding]:
         if p >= ALPHA:
             break
         words = f"Innovations of {check.what} go together: correlation {check.statistic:+.2f}."
-        out.append(
-            Finding(
-                Cause.CROSS_CORRELATED, check.what, check.statistic, "correlation", p, 0.0,
-                abs(check.statistic) > 0.2, words, "Something they have in common is not in the state.",
-            )
-        )  # fmt: skip
+        cure = "Something they have in common is not in the state."
+        matters = abs(check.statistic) > 0.2 and not explained
+        cause = Cause.CROSS_CORRELATED
+        out.append(Finding(cause, check.what, check.statistic, "correlation", p, 0.0, matters, words, cure))
     return out
-
-
-__all__ = ["ALPHA", "Case", "find", "groups"]

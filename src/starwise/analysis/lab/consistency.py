@@ -10,17 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from starwise.analysis.lab import words
-from starwise.analysis.lab.causes import ALPHA, Case, find
-from starwise.analysis.lab.checks import (
-    Family,
+from starwise.analysis.lab.case import ALPHA, Case
+from starwise.analysis.lab.causes import SAFE, find, ranked
+from starwise.analysis.lab.checks import Family, overall, size_tests, splits
+from starwise.analysis.lab.checks_series import (
     bias_tests,
     cross_tests,
     delay_tests,
-    ljung_box,
-    overall,
-    pooled_correlation,
-    size_tests,
-    splits,
     state_tests,
     tail_tests,
     whiteness_tests,
@@ -28,13 +24,17 @@ from starwise.analysis.lab.checks import (
 from starwise.analysis.lab.errors import PositionErrors, of_positions, status_findings
 from starwise.analysis.lab.findings import Finding
 from starwise.analysis.lab.innovations import Innovations, of_solution, table
-from starwise.analysis.lab.moments import NOMINAL, row_moments, whiteness_bounds
+from starwise.analysis.lab.moments import NOMINAL
 from starwise.analysis.lab.plain import plain
+from starwise.analysis.lab.rows import autocorrelations, channel_rows, group_row
 from starwise.analysis.lab.series import Series, series
+from starwise.analysis.lab.tuning import Progress, Rerun, Tuning, by_moments, maximise
 from starwise.analysis.lab.windows import Windows, windows
-from starwise.types import F8, Solution, Truth
+from starwise.config import RunConfig
+from starwise.errors import StarwiseError
+from starwise.types import Solution, Truth
 
-Grade = Literal["consistent", "nearly", "inconsistent", "unknown"]
+Grade = Literal["consistent", "nearly", "cautious", "inconsistent", "unknown"]
 
 
 @dataclass(frozen=True)
@@ -91,9 +91,7 @@ class Consistency:
         positions, missing = of_positions(solution, truth, tolerance_s, interpolate, vertical)
         if innovations is None:
             missing.insert(0, "innovations: this solution has no ledger of them (size, whiteness, bias, causes)")
-        return _judged(
-            innovations, positions, missing, status_findings(solution), dict(solution.provenance.get("config", {}))
-        )
+        return _judged(innovations, positions, missing, status_findings(solution), _config(solution))
 
     @classmethod
     def from_innovations(
@@ -126,8 +124,8 @@ class Consistency:
         v, s : (n,) array_like
             Innovations and their variances as the program claims them (m^2 or m^2/s^2). Rows with NaN are left out.
         sv, signal, kind : (n,) sequence of str, or str
-            Satellite (``G05``), signal (``1C``) or axis (``east``), sensor: ``code``, ``rate``, ``phase``, ``position``,
-            ``velocity``, ``other``. One text for all rows is enough.
+            Satellite (``G05``), signal (``1C``) or axis (``east``), sensor: ``code``, ``rate``, ``phase``,
+            ``position``, ``velocity``, ``other``. One text for all rows is enough.
         used : (n,) array_like of bool, optional
             Rows that the program used; default all.
         noise_var : (n,) array_like, optional
@@ -153,7 +151,9 @@ class Consistency:
             t_ns, v, s, sv=sv, signal=signal, kind=kind, used=used, noise_var=noise_var, direction=direction, gate=gate,
             gate_probability=gate_probability, velocity_t_ns=velocity_t_ns, velocity=velocity, residuals=residuals,
         )  # fmt: skip
-        positions, missing, status = None, [], []
+        positions: PositionErrors | None = None
+        missing: list[str] = []
+        status: list[Finding] = []
         if solution is not None:
             positions, missing = of_positions(solution, truth, 0.05, False, vertical)
             status = status_findings(solution)
@@ -166,11 +166,16 @@ class Consistency:
 
     @property
     def grade(self) -> Grade:
-        """``consistent``; ``nearly``: provably not, but by amounts that hardly matter; ``inconsistent``; ``unknown``."""
+        """How consistent.
+
+        ``consistent``; ``nearly``: provably not, but by amounts that hardly matter; ``cautious``: it claims less than
+        it knows, nothing else matters; ``inconsistent``; ``unknown``: nothing to judge by.
+        """
+        matter = [f for f in self.findings if f.matters]
+        if matter:
+            return "cautious" if all(f.cause in SAFE for f in matter) else "inconsistent"
         if self.passed is None:
             return "unknown"
-        if any(f.matters for f in self.findings):
-            return "inconsistent"
         return "consistent" if self.passed else "nearly"
 
     @property
@@ -181,6 +186,46 @@ class Consistency:
     def explain(self) -> str:
         """Several lines of at most 79 columns: what was found, where, and what to do about it."""
         return words.explain(self)
+
+    @cached_property
+    def tuning(self) -> Tuning | None:
+        """Better numbers for ``solve --config`` by the size of innovations alone; None: nothing to say."""
+        return by_moments(self.findings, self.run_config)
+
+    def tuned(self, rerun: Rerun, *, rounds: int = 2, progress: Progress | None = None) -> Tuning:
+        """Better numbers by the likelihood of innovations, the filter run again; see `starwise.analysis.lab.tuning`.
+
+        Parameters
+        ----------
+        rerun : callable
+            Gives the solution of the same measurements for a configuration.
+        rounds, progress
+            See `starwise.analysis.lab.tuning.maximise`.
+
+        Raises
+        ------
+        StarwiseError
+            The run says not how it was made, or has no innovations.
+        """
+        config = self.run_config
+        if config is None:
+            raise StarwiseError(
+                "nothing to tune: the solution does not say how it was made", wanted="a result of solve"
+            )
+        suggested = self.tuning
+        if suggested is not None and suggested.settings.get("error_model") == "colored":
+            config = config.with_options({"error_model": "colored"})
+        return maximise(rerun, config, rounds=rounds, progress=progress)
+
+    @cached_property
+    def run_config(self) -> RunConfig | None:
+        """Configuration of the run, its dynamics as settled; None where the solution does not tell."""
+        if not self.config:
+            return None
+        try:
+            return RunConfig.from_dict(self.config)
+        except StarwiseError:  # of another version, or of another command
+            return None
 
     @cached_property
     def nis_epoch(self) -> Windows | None:
@@ -194,8 +239,8 @@ class Consistency:
 
     @cached_property
     def autocorrelation(self) -> dict[str, dict[str, Any]]:
-        """Autocorrelations by channel and by sensor: ``lag_s``, ``rho``, ``bound`` (95 % of each lag), ``kind``, ``sv``."""
-        return {} if self.table is None or self.stats is None else _autocorrelations(self.table, self.stats)
+        """Autocorrelations by sensor and channel: ``lag_s``, ``rho``, ``bound`` (95 % of a lag), ``kind``, ``sv``."""
+        return {} if self.table is None or self.stats is None else autocorrelations(self.table, self.stats)
 
     @cached_property
     def calibration(self) -> dict[str, Any]:
@@ -214,7 +259,7 @@ class Consistency:
     @cached_property
     def channels(self) -> list[dict[str, Any]]:
         """A row per channel: size, bias, correlation, shares inside."""
-        return [] if self.table is None or self.stats is None else _rows(self.table, self.stats)
+        return [] if self.table is None or self.stats is None else channel_rows(self.table, self.stats)
 
     @cached_property
     def by_satellite(self) -> list[dict[str, Any]]:
@@ -242,7 +287,7 @@ class Consistency:
         members: dict[str, list[int]] = {}
         for i, c in enumerate(self.table.channels):
             members.setdefault(name(c), []).append(i)
-        return [_row(key, self.stats, some, self.table.interval_s) for key, some in members.items() if key]
+        return [group_row(key, self.stats, some, self.table.interval_s) for key, some in members.items() if key]
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but single epochs as plain numbers, ready for JSON; None for what cannot be said."""
@@ -255,6 +300,7 @@ class Consistency:
             "explanation": self.explain(),
             "findings": [f.to_dict() for f in self.findings],
             "not_judged": list(self.not_judged),
+            "tuning": None if self.tuning is None else self.tuning.to_dict(),
             "families": [
                 {
                     "name": f.name,
@@ -278,6 +324,15 @@ class Consistency:
         return {key: plain(value) for key, value in made.items()}
 
 
+def _config(solution: Solution) -> dict[str, Any]:
+    """Configuration that the run was made with, dynamics as they were settled."""
+    config = dict(solution.provenance.get("config", {}))
+    used = solution.provenance.get("dynamics", {})
+    if config.get("dynamics") == "auto" and isinstance(used, dict) and used.get("used"):
+        config["dynamics"] = used["used"]
+    return config
+
+
 def _judged(
     innovations: Innovations | None, positions: PositionErrors | None, missing: list[str], status: list[Finding],
     config: dict[str, Any],
@@ -299,70 +354,13 @@ def _judged(
     if positions is not None and positions.family is not None:
         families.append(positions.family)
     if innovations is not None and stats is not None:
-        case = Case(innovations, stats, {f.name: f for f in families}, {p.kind: p for p in parts})
+        case = Case(
+            innovations, stats, {f.name: f for f in families}, {p.kind: p for p in parts},
+            config.get("error_model") == "colored",
+        )  # fmt: skip
         found += find(case)
     if positions is not None:
         found += positions.findings(families)
-    found.sort(key=lambda f: (not f.matters, -f.evidence))
     return Consistency(
-        innovations, stats, tuple(families), overall(families), tuple(found), positions, tuple(missing), config
+        innovations, stats, tuple(families), overall(families), tuple(ranked(found)), positions, tuple(missing), config
     )
-
-
-def _autocorrelations(innovations: Innovations, stats: Series) -> dict[str, dict[str, Any]]:
-    lag_s = stats.lags * innovations.interval_s
-    out: dict[str, dict[str, Any]] = {}
-    for kind in dict.fromkeys(c.kind for c in innovations.channels):
-        members = [i for i, c in enumerate(innovations.channels) if c.kind == kind and stats.n[i] > 0]
-        rho, pairs = pooled_correlation(stats, members)
-        out[kind] = {"lag_s": lag_s, "rho": rho, "bound": whiteness_bounds(pairs), "kind": kind, "sv": ""}
-    for i, c in enumerate(innovations.channels):
-        if stats.n[i] > 0:
-            bound = whiteness_bounds(stats.pairs[i])
-            out[c.label] = {"lag_s": lag_s, "rho": stats.rho[i], "bound": bound, "kind": c.kind, "sv": c.sv}
-    return out
-
-
-def _rows(innovations: Innovations, stats: Series) -> list[dict[str, Any]]:
-    from scipy.special import chdtrc
-
-    q, dof = ljung_box(stats)
-    p = chdtrc(np.maximum(dof, 1), q)
-    rows = []
-    for i, c in enumerate(innovations.channels):
-        row = _row(c.label, stats, [i], innovations.interval_s)
-        rows.append(
-            {"sv": c.sv, "signal": c.signal, "kind": c.kind, **row, "ljung_box_p": p[i] if dof[i] else math.nan}
-        )
-    return rows
-
-
-def _row(name: str, stats: Series, members: list[int], interval_s: float) -> dict[str, Any]:
-    """Statistics of some channels together."""
-    from starwise.analysis.lab.series import correlation_time
-
-    n = stats.n[members].astype(np.float64)
-    total = float(n.sum())
-    rho, pairs = pooled_correlation(stats, members)
-    mean = float(stats.square_mean[members].sum())
-
-    def average(values: F8) -> float:
-        known = np.isfinite(values) & (n > 0)
-        return float(np.average(values[known], weights=n[known])) if known.any() else math.nan
-
-    return {
-        "name": name,
-        "used": int(total),
-        "refused": int(stats.refused[members].sum()),
-        "nis": float(stats.square[members].sum()) / mean if mean > 0.0 else math.nan,
-        "bias": average(stats.bias[members]) if len(members) == 1 else math.nan,
-        "mean_z": average(stats.mean_z[members]),
-        "rho_1": float(rho[0]),
-        "correlation_s": correlation_time(rho, pairs, stats.lags, interval_s) if total > 0 else math.nan,
-        "kurtosis": average(stats.kurtosis[members]),
-        "skew": average(stats.skew[members]),
-        "inside": [average(stats.inside[members][:, k]) for k in range(len(NOMINAL))],
-    }
-
-
-__all__ = ["Consistency", "Grade", "row_moments"]

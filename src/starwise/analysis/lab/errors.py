@@ -5,8 +5,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from starwise.analysis.accuracy import match
+from starwise.analysis.lab.case import ALPHA, num
 from starwise.analysis.lab.checks import Check, Family, family
 from starwise.analysis.lab.findings import Cause, Finding
 from starwise.analysis.lab.moments import NOMINAL, gamma_p, sidak
@@ -15,7 +17,6 @@ from starwise.constants import EPOCH_COASTED, EPOCH_NO_SOLUTION, EPOCH_RESET, EP
 from starwise.types import F8, I8, Solution, Truth
 
 MIN_EPOCHS: Final = 20
-ALPHA: Final = 0.05
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class PositionErrors:
         small = self.nees > 1.0
         size = math.sqrt(self.nees)
         words = (
-            f"Position errors are {size:.2g} times as large as claimed (NEES {self.nees:.2g} per degree of freedom)."
+            f"Position errors are {num(size)} times as large as claimed (NEES {num(self.nees)} per degree of freedom)."
         )
         cure = (
             "Covariances are too small: see the causes below, or inflate."
@@ -133,7 +134,8 @@ def of_positions(
     lags = lags_for(len(t_ns))
     rho, pairs = _error_correlation(error if reference == "truth" else error - error.mean(axis=0), lags)
     interval = float(np.median(np.diff(t_ns))) * 1e-9
-    count = len(t_ns) * effective_share(rho, lags)
+    # The variance of a mean of squares grows with the squares of the correlations (Bartlett 1946).
+    count = len(t_ns) * effective_share(rho * np.abs(rho), lags)
     known = np.isfinite(nees)
     if not known.any():
         missing.append("sigmas: the solution has no covariance of its positions")
@@ -149,7 +151,7 @@ def of_positions(
     inside = _inside(nees[known], dof) if math.isfinite(value) else None
     return PositionErrors(
         reference, dof, len(t_ns), value, low, high, count, correlation_time(rho, pairs, lags, interval),
-        float(rho[0]), inside, lags * interval, rho, t_ns, nees, made,
+        float(rho[0]), inside, np.asarray(lags * interval, dtype=np.float64), rho, t_ns, nees, made,
     ), missing  # fmt: skip
 
 
@@ -161,7 +163,7 @@ def _moves(solution: Solution, solved: np.ndarray) -> bool:
 
 def _error_correlation(error: F8, lags: I8) -> tuple[F8, F8]:
     """Autocorrelation of errors about zero, all axes together, (L,)."""
-    good = np.isfinite(error).all(axis=1)
+    good: NDArray[np.bool_] = np.asarray(np.isfinite(error).all(axis=1))
     e = np.where(good[:, None], error, 0.0)
     rho, pairs = np.full(len(lags), np.nan), np.zeros(len(lags))
     for i, lag in enumerate(lags.tolist()):
@@ -189,7 +191,7 @@ def status_findings(solution: Solution) -> list[Finding]:
     words = f"The filter was lost: {resets} times started again, {suspect} epochs suspect, {coasted} coasted, of {n}."
     return [
         Finding(
-            Cause.LOST, "run", float(resets), "restarts", math.nan, 10.0 * (resets + suspect), resets > 0 or suspect > 0.2 * n,
-            words, "Look at the times of the restarts: outages, wrong dynamics, interference.",
+            Cause.LOST, "run", float(resets), "restarts", math.nan, 10.0 * (resets + suspect), resets > 0 or suspect >
+            0.2 * n, words, "Look at the times of the restarts: outages, wrong dynamics, interference.",
         )
     ]  # fmt: skip

@@ -1,7 +1,6 @@
 """From tests to causes: what is wrong, where, how large, and what to do about it."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
@@ -52,8 +51,6 @@ class Finding:
         Large enough to matter; a long run proves differences that do not.
     words, cure : str
         For people.
-    settings : mapping
-        Keys of the configuration of ``solve`` with the factor on their present value (numbers), or their value (else).
     """
 
     cause: Cause
@@ -65,7 +62,6 @@ class Finding:
     matters: bool
     words: str
     cure: str
-    settings: Mapping[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, ready for JSON."""
@@ -75,5 +71,4 @@ class Finding:
             "cause": str(self.cause),
             "where": self.where,
             **{k: plain(getattr(self, k)) for k in ("size", "unit", "p_value", "evidence", "matters", "words", "cure")},
-            "settings": {key: plain(value) for key, value in self.settings.items()},
         }

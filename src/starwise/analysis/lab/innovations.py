@@ -1,8 +1,8 @@
 """Innovations of any filter as one plain table: what the laboratory judges.
 
-A *channel* is a series of one kind: the code of a signal of a satellite, its rate, one axis of a position fix. An *epoch*
-is an instant of the run. Of each row: innovation v, variance S that the filter claimed for it, whether it was used, and,
-where it is known, how much of S is the measurement's own noise R; the rest is doubt about the states.
+A *channel* is a series of one kind: the code of a signal of a satellite, its rate, one axis of a position fix. An
+*epoch* is an instant of the run. Of each row: innovation v, variance S that the filter claimed for it, whether it was
+used, and, where it is known, how much of S is the measurement's own noise R; the rest is doubt about the states.
 """
 
 import math
@@ -256,7 +256,9 @@ def of_solution(solution: Solution) -> Innovations | None:
         Channel(sv_name(number >> 17), signal_name(number >> 1 & 0xFFFF), KINDS[number & 1])
         for number in present.tolist()
     )
+    judged = _after_starts(solution, t_ns, epoch, used, s, lsq)
     order = np.lexsort((epoch, channel))
+    order = order[judged[order]]
     at, epoch, kind = at[order], epoch[order], kind[order]
     known = np.searchsorted(solution.t_ns, t_ns)
     known = np.clip(known, 0, max(len(solution.t_ns) - 1, 0))
@@ -280,6 +282,25 @@ def of_solution(solution: Solution) -> Innovations | None:
         nis=np.where(here, solution.nis[known], np.nan) if residuals else np.empty(0),
         dof=np.where(here, solution.dof[known], 0).astype(np.float64) if residuals else np.empty(0),
     )
+
+
+NOTHING_KNOWN_M2: Final = 1e4
+"""Variance of an innovation, m^2, above which it only says where the start was put."""
+
+
+def _after_starts(solution: Solution, t_ns: I8, epoch: I8, used: Mask, s: F8, lsq: bool) -> Mask:
+    """Rows that are innovations: not those of epochs that (re)start the filter, whose rows are of least squares.
+
+    There the degrees of freedom of the epoch are fewer than its rows: least squares has spent some on its parameters.
+    """
+    if lsq:
+        return s < NOTHING_KNOWN_M2
+    known = np.clip(np.searchsorted(solution.t_ns, t_ns), 0, max(len(solution.t_ns) - 1, 0))
+    rows = np.bincount(epoch[used], minlength=len(t_ns))
+    start = (solution.t_ns[known] == t_ns) & (solution.dof[known] < rows)
+    if np.mean(start) > 0.5:  # an estimator that counts otherwise
+        return np.ones(len(epoch), dtype=bool)
+    return np.asarray(~start[epoch])
 
 
 def _ledger_rows(ledger: dict[str, NDArray[Any]], kind: str) -> tuple[I8, F8, F8, Mask]:

@@ -1,8 +1,9 @@
 """What a gate leaves of a normal distribution: moments of innovations that were accepted, and shares inside regions.
 
-Under H0 an innovation over its sigma is standard normal. A gate at probability p keeps what lies inside; the mean square
-of the rest is below one, and a test that ignored it would call every gated filter too modest. Two gates occur: a row by
-itself (|z| <= c with P = 1 - p), and two rows of a satellite together (z1^2 + z2^2 <= c^2, chi-square with 2 degrees).
+Under H0 an innovation over its sigma is standard normal. A gate at probability p keeps what lies inside; the mean
+square of the rest is below one, and a test that ignored it would call every gated filter too modest. Two gates occur:
+a row by itself (|z| <= c with P = 1 - p), and two rows of a satellite together (z1^2 + z2^2 <= c^2, chi-square with 2
+degrees).
 """
 
 import math
@@ -31,7 +32,8 @@ def truncated_moments(gate: int, probability: float) -> tuple[float, float]:
     Notes
     -----
     By itself: m2 = P(chi2_3 <= c^2) / P(chi2_1 <= c^2), m4 = 3 P(chi2_5 <= c^2) / P(chi2_1 <= c^2); in a pair of k = 2
-    the same with 4, 6 and 2 degrees of freedom, and m4 = 3 as before (Johnson, Kotz, Balakrishnan 1994, section 13.10.1).
+    the same with 4, 6 and 2 degrees of freedom, and m4 = 3 as before (Johnson, Kotz, Balakrishnan 1994, section
+    13.10.1).
     """
     if gate == 0 or not 0.0 < probability < 1.0:
         return 1.0, 3.0
@@ -129,4 +131,4 @@ def whiteness_bounds(pairs: F8) -> F8:
     from scipy.special import betaincinv
 
     n = np.where(pairs >= 3.0, pairs, np.nan)
-    return np.sqrt(betaincinv(0.5, 0.5 * (n - 1.0), 0.95))
+    return np.asarray(np.sqrt(betaincinv(0.5, 0.5 * (n - 1.0), 0.95)))

@@ -3,9 +3,10 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from starwise.analysis.lab.innovations import Innovations
 from starwise.analysis.lab.moments import NOMINAL, normal_quantile, row_moments
@@ -72,7 +73,7 @@ def series(table: Innovations) -> Series:
     at, z, v, s = table.channel[use], table.z[use], table.v[use], table.s[use]
     two, four = row_moments(table.gate[use], table.gate_probability)
 
-    def total(weights: F8) -> F8:
+    def total(weights: NDArray[Any]) -> F8:
         return np.asarray(np.bincount(at, weights=weights, minlength=c), dtype=np.float64)
 
     n = np.bincount(at, minlength=c).astype(np.int64)
@@ -136,8 +137,8 @@ def _autocorrelations(at: I8, epoch: I8, z: F8, channels: int, epochs: int, lags
 def correlation_time(rho: F8, pairs: F8, lags: I8, interval_s: float) -> float:
     """Time, s, in which an autocorrelation falls to 1/e of its value at no lag; NaN if it is not above its noise.
 
-    A Markov error beside white noise has rho(l) = a exp(-l / tau) with a < 1: a and tau are fitted to the lags, up to the
-    first that is within its noise.
+    A Markov error beside white noise has rho(l) = a exp(-l / tau) with a < 1: a and tau are fitted to the lags, up to
+    the first that is within its noise.
     """
     solid = np.isfinite(rho) & (pairs >= 8)
     noise = 1.0 / np.sqrt(np.maximum(pairs, 1.0))
@@ -159,8 +160,11 @@ def correlation_time(rho: F8, pairs: F8, lags: I8, interval_s: float) -> float:
 
 
 def effective_share(rho: F8, lags: I8) -> float:
-    """Part of the rows that count as independent for a mean: 1 / (1 + 2 sum rho), sum over all lags up to the first
-    that is not positive, interpolated between the lags taken (Bayley and Hammersley 1946)."""
+    """Part of the rows that count as independent for a mean: 1 / (1 + 2 sum rho).
+
+    The sum is over all lags up to the first that is not positive, interpolated between those taken (Bayley, Hammersley
+    1946).
+    """
     total, before, at = 0.0, 1.0, 0
     for lag, value in zip(lags.tolist(), rho.tolist(), strict=True):
         if not value > 0.0:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from starwise.analysis.consistency import PROBABILITY
 from starwise.analysis.lab.innovations import Innovations
@@ -55,9 +56,12 @@ def windows(table: Innovations, epochs: int) -> Windows:
     k = int(window[-1]) + 1 if m else 0
     if table.residuals and len(table.nis) == m:
         known = np.isfinite(table.nis) & (table.dof > 0)
-        value = np.bincount(window[known], weights=table.nis[known], minlength=k)
-        dof = np.bincount(window[known], weights=table.dof[known], minlength=k)
-        mean, var = dof, 2.0 * dof
+        value: NDArray[Any] = np.bincount(window[known], weights=table.nis[known], minlength=k)
+        dof: NDArray[Any] = np.asarray(
+            np.bincount(window[known], weights=table.dof[known], minlength=k), dtype=np.float64
+        )
+        mean: NDArray[Any] = dof
+        var: NDArray[Any] = 2.0 * dof
     else:
         rows = np.flatnonzero(table.used)
         at = window[table.epoch[rows]]

@@ -1,12 +1,16 @@
 """The laboratory's judgement in plain words."""
 
 import textwrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
+
+from starwise.analysis.lab.case import num
 
 if TYPE_CHECKING:
     from starwise.analysis.lab.consistency import Consistency
 
-WIDTH = 79
+WIDTH: Final = 79
+MOST: Final = 8
+"""Findings told in full."""
 
 
 def verdict(c: "Consistency") -> str:
@@ -20,26 +24,39 @@ def verdict(c: "Consistency") -> str:
         what = "" if first is None else f" ({first.words.rstrip('.')})"
         return f"nearly consistent: provably off, but hardly by what matters{what}"
     assert first is not None
+    if c.grade == "cautious":
+        return f"cautious: {first.words.rstrip('.')}"
     return f"not consistent: {first.words.rstrip('.')}"
 
 
 def explain(c: "Consistency") -> str:
     """Several lines of at most `WIDTH` columns."""
     lines = _wrapped(verdict(c)[:1].upper() + verdict(c)[1:] + ".")
-    if c.table is not None:
-        for row in c.by_sensor:
-            lines += _wrapped(
-                f"{row['name']}: {row['used']} innovations, NIS {row['nis']:.3g} per degree of freedom (1 expected), "
-                f"correlation {row['rho_1']:+.2f} from one epoch to the next."
-            )
-    if c.positions is not None and c.positions.reference == "truth":
-        p = c.positions
+    for row in c.by_sensor:
         lines += _wrapped(
-            f"position: NEES {p.nees:.3g} per degree of freedom, {p.nees_low:.2g} to {p.nees_high:.2g} if honest "
-            f"({p.epochs} epochs are worth {p.independent:.0f}: errors last)."
+            f"{row['name']}: {row['used']} innovations, NIS {num(row['nis'])} per degree of freedom (1 expected), "
+            f"correlation {row['rho_1']:+.2f} from one epoch to the next."
         )
-    for number, finding in enumerate(c.findings, 1):
+    p = c.positions
+    if p is not None and p.reference == "truth":
+        held = (
+            "" if p.inside is None else f"; the truth is inside 95 % regions in {100.0 * p.inside[2]:.0f} % of epochs"
+        )
+        lines += _wrapped(
+            f"position: NEES {num(p.nees)} per degree of freedom, {num(p.nees_low)} to {num(p.nees_high)} if honest "
+            f"({p.epochs} epochs are worth {p.independent:.0f}, because errors last){held}."
+        )
+    matter = [f for f in c.findings if f.matters]
+    for number, finding in enumerate(matter[:MOST], 1):
         lines += _wrapped(f"{number}. {finding.words} {finding.cure}", "   ")
+    if len(matter) > MOST:
+        lines += _wrapped(f"And {len(matter) - MOST} more.")
+    slight = [f for f in c.findings if not f.matters]
+    if slight:
+        lines += _wrapped("Provable but slight: " + " ".join(f.words for f in slight[:3]))
+    if c.tuning is not None:
+        said = ", ".join(f"{key} = {value}" for key, value in c.tuning.settings.items())
+        lines += _wrapped(f"Suggested: {said}.")
     for text in c.not_judged:
         lines += _wrapped(f"Not judged: {text}.")
     return "\n".join(lines)
