@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import starwise
+from handmade import handmade_solution
 from starwise import read_solution
 from starwise.cli import run
 from starwise.constants import NS
@@ -19,6 +20,7 @@ from starwise.errors import StarwiseError
 from starwise.frames import C_ne_enu, C_ne_ned, ecef_from_geodetic, geodetic_from_ecef
 from starwise.gnsstime import from_calendar, from_week_tow
 from starwise.io.foreign import kind_of
+from starwise.io.maps import Choice, render
 from starwise.io.pos import read_pos
 from starwise.io.residuals import read_residuals
 from starwise.io.truth import read_truth
@@ -507,10 +509,13 @@ def test_refused_in_one_line(text: str, words: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("name", ["stat", "states", "residuals", "nav", "std", "nmea"])
+@pytest.mark.parametrize("name", ["stat", "states", "residuals", "nav", "std", "nmea", "csv"])
 def test_mutations(name: str, tmp_path: Path) -> None:
     rng = random.Random(7)
-    original = KINDS[name][0].encode("latin-1")
+    if name == "csv":
+        original = render([("x", handmade_solution(12))], "csv", Choice())[0]
+    else:
+        original = KINDS[name][0].encode("latin-1")
     written(tmp_path, NAV, "KF_GINS_Navresult.nav")
     path = tmp_path / "KF_GINS_STD.txt"
     refused = 0

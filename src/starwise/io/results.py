@@ -294,8 +294,9 @@ def read_table(path: str | Path) -> Solution:
 
     try:
         table = pl.read_csv(path, infer_schema_length=None)
-        return _solution_of(table, {}, {"file": str(path), "format": "starwise csv"})
-    except (OSError, KeyError, ValueError, TypeError, OverflowError, pl.exceptions.PolarsError) as error:
+        with np.errstate(invalid="raise"):  # blanks among whole numbers
+            return _solution_of(table, {}, {"file": str(path), "format": "starwise csv"})
+    except (OSError, KeyError, ValueError, TypeError, ArithmeticError, pl.exceptions.PolarsError) as error:
         raise StarwiseError(f"not a solution table ({str(error).splitlines()[0]})", file=path) from None
 
 
