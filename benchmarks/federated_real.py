@@ -2,7 +2,8 @@
 
 python benchmarks/federated_real.py [--dynamics static] [--only NAME] [--all] [--doppler] [--json]
 python benchmarks/federated_real.py --pooled [--dynamics static] [--json]
-python benchmarks/federated_real.py --threads
+python benchmarks/federated_real.py --tied [--dynamics static] [--only NAME] [--json]
+python benchmarks/federated_real.py --threads [--only NAME]
 
 Per set: the federated filter beside the centralised EKF with the same error model; then a fault from the middle of the
 set on: 50 m/min on the codes of one satellite (every satellite with --all, else three of each constellation), the same
@@ -11,7 +12,9 @@ without gate and robust weights. With --doppler the ramps are in the Doppler, to
 
 --pooled: sessions of two hours of all sets with more than one constellation, both filters started anew in each: the
 error of a receiver at rest is one slowly moving number, so that a set is one draw and only many tell accuracy and
-honesty. --threads: the local filters alone on 1, 2 and 4 threads, and how long a thread of Python beside them waits.
+honesty. --tied: the faults of whole constellations once more, in the centralised filter, whose clocks are one
+oscillator with slowly varying biases (``clock.isolate``), and what it names without faults. --threads: the local
+filters alone on 1, 2 and 4 threads, and how long a thread of Python beside them waits.
 """
 
 from __future__ import annotations
@@ -35,9 +38,11 @@ from starwise.estimators.federated_faults import Event
 from starwise.estimators.federated_local import make_locals, run_locals
 from starwise.estimators.federated_run import run_federated, shares_of
 from starwise.estimators.filter import filter_options, run_filter
+from starwise.estimators.tied_clocks import tied_events
 from starwise.gnsstime import session_numbers
 from starwise.io.rinex_nav import read_nav
 from starwise.io.rinex_obs import read_obs
+from starwise.kernels.spp import EpochOut
 from starwise.models.pseudorange import Prepared, prepare
 from starwise.physics.broadcast import BroadcastEphemeris
 from starwise.signals import frequency_table, sv_name
@@ -70,7 +75,7 @@ class Case:
 def load(name: str, **options: Any) -> Case:
     data = next(d for d in STATIC if d.name == name)
     records = read_nav(*(DATA / nav for nav in data.nav))
-    config = RunConfig(method="federated", **{"systems": "GREC", "dynamics": "static", **options})
+    config = RunConfig.from_dict({"method": "federated", "systems": "GREC", "dynamics": "static", **options})
     obs = read_obs(DATA / data.obs)
     return Case(name, obs, BroadcastEphemeris(records), records.ionosphere, config, truth_ecef(data.truth or ""))
 
@@ -121,11 +126,20 @@ def steady(case: Case, prepared: Prepared) -> dict[str, list[int]]:
     return found
 
 
+def estimate(prepared: Prepared, config: RunConfig) -> tuple[EpochOut, list[Event]]:
+    """The federated filter, or the centralised one with its clocks watched; what was named."""
+    if config.method == "federated":
+        ep, _, events = run_federated(prepared, config)
+        return ep, events
+    ep, out = run_filter(prepared, config)
+    return ep, tied_events(prepared, config, ep, out)
+
+
 def fault(case: Case, satellites: list[int], **how: Any) -> dict[str, Any]:
     """What the federated filter makes of a fault."""
     obs = faulty(case, satellites, **how)
     prepared = case.prepared(obs)
-    ep, _, events = run_federated(prepared, case.config)
+    ep, events = estimate(prepared, case.config)
     t0 = int(obs.t_ns[case.middle])
     after = np.linalg.norm(ep.pos - case.truth, axis=1)[case.middle :]
     return {"prepared": prepared, "events": events, "peak_m": float(np.nanmax(after)), "t0_ns": t0}
@@ -279,6 +293,35 @@ def threads(case: Case) -> dict[int, float]:
     return times
 
 
+def show_common(rows: list[dict[str, Any]]) -> None:
+    print("\nwhole constellations: first named s, clock named s, peak m")
+    for r in rows:
+        print(
+            f"{r['set']:<18}{r['constellation']} {r['fault']:<18} {r['delay_s']} {r['clock_named_s']} {r['cause']} "
+            f"{r['peak_m']:.2f} wrong {len(r['wrong'])}"
+        )
+
+
+def show_tied(dynamics: str, only: str, as_json: bool) -> None:
+    """Faults of whole constellations under tied clocks; then runs of every set without a fault."""
+    options: dict[str, Any] = {"method": "s3ekf", "dynamics": dynamics, "clock": {"isolate": True}}
+    rows = [row for name in SETS if only in name for row in common(load(name, **options))]
+    quiet = {}
+    for data in STATIC:
+        if len(data.systems) < 2 or only not in data.name:
+            continue
+        case = load(data.name, **options)
+        quiet[data.name] = [event.record() for event in estimate(case.prepared(), case.config)[1]]
+    if as_json:
+        print(json.dumps({"common": rows, "fault_free": quiet}, indent=1))
+        return
+    show_common(rows)
+    for name, events in quiet.items():
+        print(
+            f"{name:<18} without a fault: {len(events)} named {[e['satellite'] or e['constellation'] for e in events]}"
+        )
+
+
 def show_threads(name: str, times: dict[int, float]) -> None:
     print(f"{name}: local filters on " + ", ".join(f"{n} threads {s:.3f} s" for n, s in times.items()))
 
@@ -305,6 +348,7 @@ def main() -> None:
     parser.add_argument("--all", action="store_true", help="a ramp on every satellite")
     parser.add_argument("--doppler", action="store_true")
     parser.add_argument("--pooled", action="store_true", help="sessions of all sets in place of the five")
+    parser.add_argument("--tied", action="store_true", help="one filter with tied clocks in place of the federated one")
     parser.add_argument("--threads", action="store_true", help="the scaling over threads alone")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
@@ -316,6 +360,9 @@ def main() -> None:
             show_threads(case.name, threads(case))
             alone, beside = longest_wait(case)
             print(f"  a thread beside: stands still for {1e3 * alone:.0f} ms alone, {1e3 * beside:.0f} ms at most")
+        return
+    if args.tied:
+        show_tied(args.dynamics, args.only, args.json)
         return
     cases = [load(name, dynamics=args.dynamics) for name in SETS if args.only in name]
     found = {
@@ -350,12 +397,7 @@ def main() -> None:
                 f"{ratio['peak_m'] / ratio['blind_m']:.2f} (of {ratio['blind_m']:.1f} m); "
                 f"wrong {sum(len(r['wrong']) for r in rows)}"
             )
-    print("\nwhole constellations: first named s, clock named s, peak m")
-    for r in found["common"]:
-        print(
-            f"{r['set']:<18}{r['constellation']} {r['fault']:<18} {r['delay_s']} {r['clock_named_s']} {r['cause']} "
-            f"{r['peak_m']:.2f} wrong {len(r['wrong'])}"
-        )
+    show_common(found["common"])
     for name, times in found["threads"].items():
         show_threads(name, times)
 

@@ -6,6 +6,7 @@ from scipy.stats import chi2
 
 from skies import RECEIVER, options, sky
 from starwise.config import RunConfig
+from starwise.config_errors import ErrorParameters
 from starwise.constants import (
     C_LIGHT,
     EPOCH_COASTED,
@@ -21,7 +22,9 @@ from starwise.estimators.filter import filter_notes, filter_rows
 from starwise.frames import C_ne_enu, geodetic_from_ecef
 from starwise.kernels.filter_epoch import linearise
 from starwise.kernels.update import USED_CODE, decide, update_satellite
+from starwise.models.error_model import error_model as error_model_of
 from starwise.models.pseudorange import empty_row_model
+from test_colored import extra_rows
 
 METHODS = ["ekf", "s3ekf"]
 TWO_SYSTEMS = np.array([0] * 7 + [3] * 7)
@@ -213,6 +216,30 @@ def test_a_system_enters_and_leaves():
     assert np.abs(ep.clock[152:, 1] - 1.02e4).max() < 4.0
     assert error(ep, truth)[40:].max() < 3.0
     assert (out.status == ROW_GATED).mean() < 0.01
+
+
+@pytest.mark.parametrize("error_model", ["white", "colored"])
+def test_a_system_enters_while_the_oscillator_is_not_known(error_model):
+    """Codes alone, 200 m/s of drift: at the second epoch the first clock is 6 km off, and that is no offset."""
+    epochs, rows, _ = sky(
+        14, 30, systems=TWO_SYSTEMS, clocks_m=np.array([1e4, 9.98e3]), code_sigma=1.0, drift_mps=200.0, step_s=30.0,
+        doppler=False,
+    )  # fmt: skip
+    e = np.arange(len(rows.code_m)) // 14
+    epochs, rows = pick(epochs, rows, (rows.clock == 0) | (e >= 1))
+    colored = None
+    if error_model == "colored":
+        extra = extra_rows(rows, 1, len(rows.code_m), dual=False)._replace(sv=rows.system * 256 + 1 + rank(epochs))
+        colored = error_model_of(ErrorParameters(), False, 2, 30.0), extra
+    config = RunConfig(dynamics="static", error_model=error_model)
+    ep, out = filter_rows(epochs, rows, options(fixed_code_sigma_m=CODE), 2, config, None, colored)
+    assert (out.status == ROW_USED).mean() > 0.99
+    assert np.abs(ep.clock[1:, 1] - ep.clock[1:, 0] + 20.0).max() < 5.0  # m
+
+
+def rank(epochs):
+    """Number of every row in its epoch."""
+    return np.concatenate([np.arange(n) for n in np.diff(epochs.offsets)])
 
 
 def test_a_system_with_its_own_clock_step_enters_anew():

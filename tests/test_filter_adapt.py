@@ -12,6 +12,7 @@ from starwise.errors import StarwiseError
 from starwise.estimators import filter as filter_module
 from starwise.estimators.adaptive import RULES, factors, step
 from starwise.estimators.filter import filter_options, filter_rows
+from starwise.kernels.filter_clocks import _lead_with
 from starwise.kernels.filter_epoch import linearise
 from starwise.kernels.rangemodel import epoch_corrections
 from starwise.models.process import clocks_from, matrices, motion_from
@@ -199,3 +200,18 @@ def test_rules_that_make_no_sense_are_refused():
 def test_every_rule_has_its_word():
     for name in RULES:
         assert RunConfig(adaptation=name, error_model="white").adaptation == name
+
+
+def test_rounding_does_not_choose_who_leads():
+    """The median of an even number lies between two: of equally near ones that of less variance comes first."""
+    epochs, rows, truth = sky(6)
+    out, order = empty_row_model(6), np.arange(6)
+    epoch_corrections(options(), epochs.t_ns[0], rows, 0, 6, *truth[0], True, out)
+    rows.code_m[:] += [2.0, -2.0, 5.0, -5.0, 9.0, -9.0]
+    x = np.concatenate([truth[0], [1e4, 0.0]])
+    for noise in (0.0, 1e-8, -1e-8):
+        work = test_colored.work_space(6, 5)
+        work.order[:] = order
+        rows.code_m[1] += noise
+        _lead_with(rows, out, 6, x, 3, np.zeros(1, np.int64), 0.0, work)
+        assert work.order[0] == 0

@@ -59,6 +59,9 @@ class ClockNoise(Checked):
     """Random walk of the frequency, m^2/s^3."""
     intersystem_psd_m2_per_s: NotNegative | None = None
     """Random walk of the clock of a system against the first system's, m^2/s."""
+    isolate: bool = False
+    """ekf, s3ekf: name constellations whose codes leave those of all others together. The clocks are tied in any case;
+    this believes the majority of the satellites where the common clock is not known, and lists ``events``."""
 
 
 WEIGHTING_RULES: Final = ("iae_r", "sage_husa_r", "huber", "igg3")
@@ -139,6 +142,12 @@ class RunConfig(Checked):
                 "coloured errors have a scale and robust weights of their own: no other rule of R beside them",
                 found=f"adaptation {self.adaptation}, error_model colored",
                 wanted="error_model white, or a rule of P or Q",
+            )
+        if self.clock.isolate and (self.error_model == "white" or self.method in ("lsq", "federated")):
+            raise StarwiseError(
+                "'clock.isolate' is of the coloured filter of all constellations",
+                found=f"method {self.method}, error_model {self.error_model}",
+                wanted="method ekf or s3ekf, error_model colored (federated names them by itself)",
             )
         unknown = sorted(set(self.systems) - set(SYSTEMS))
         if not self.systems or unknown or len(set(self.systems)) != len(self.systems):

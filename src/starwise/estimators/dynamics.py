@@ -46,7 +46,7 @@ def settle_dynamics(
     look = config.with_options(
         {
             "method": "lsq", "error_model": "white", "combination": "single", "dynamics": MOVING, "session_s": None,
-            "share": "auto", "adaptation": "none",
+            "share": "auto", "adaptation": "none", "clock.isolate": False,
         }
     )  # fmt: skip
     try:

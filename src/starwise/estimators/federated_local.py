@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from starwise.config import RunConfig
 from starwise.constants import EPOCH_NO_SOLUTION, ROW_USED
-from starwise.estimators.filter import filter_options
+from starwise.estimators.filter import LOOSE_CLOCK_M, filter_options
 from starwise.estimators.least_squares import empty_epochs, least_squares, spp_options
 from starwise.kernels.error_states import N_SKY, ErrorModel, ErrorRows
 from starwise.kernels.filter_run import filter_run
@@ -36,9 +36,6 @@ SPARE_SLOTS = 8
 SEED_SIGMA_M = 1000.0
 """Position of a local filter that cannot start alone: its place is where ranges are made linear, not information."""
 SEED_CLOCK_M = 1e6
-LOOSE_CLOCK_M = 3.0
-"""Where a clock has been predicted worse than this, the satellite nearest to the median comes first: with few
-satellites and one clock, the fault of the first would else pass as the clock's."""
 NEVER = 1 << 30
 """Few satellites, one of them refused, are no reason to start anew from them: the others check the filter."""
 

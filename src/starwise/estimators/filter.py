@@ -21,6 +21,10 @@ PATIENCE = 3
 """Consecutive failed epochs after which the filter is declared lost: chance 1e-15, while an outage of good
 measurements (a tunnel's end, a turn) rarely lasts longer than it."""
 
+LOOSE_CLOCK_M = 3.0
+"""Where a clock has been predicted worse than this and faults are to be named, the satellite nearest to the median
+comes first: the fault of the first, or of the best constellation, would else pass as the clock's."""
+
 
 def filter_options(config: RunConfig, motion: Motion, clocks: Clocks) -> FilterOptions:
     """Numbers of the filter out of a configuration."""
@@ -37,7 +41,8 @@ def filter_options(config: RunConfig, motion: Motion, clocks: Clocks) -> FilterO
         drift_sigma0=clocks.drift_sigma0,
         intersystem_sigma0=clocks.intersystem_sigma0,
         intersystem_drift_sigma0=clocks.intersystem_drift_sigma0,
-        clock_loose_m=100.0,  # a bad satellite of 100 m would still pass as a clock error
+        # a bad satellite of 100 m would still pass as a clock error
+        clock_loose_m=LOOSE_CLOCK_M if config.clock.isolate else 100.0,
         # Least squares from nothing is better: ranges bend by dx^2 / (2 rho), 2 m at 10 km, 0.2 m at 3 km (the coloured
         # update is not iterated).
         lost_sigma_m=3_000.0 if config.error_model == "colored" else 10_000.0,

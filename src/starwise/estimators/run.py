@@ -92,7 +92,12 @@ def _estimate(prepared: Prepared, config: RunConfig) -> tuple[EpochOut, RowModel
         return ep, out, {"shares": shares, "events": [event.record() for event in events]}
     from starwise.estimators.filter import run_filter
 
-    return *run_filter(prepared, config), {}
+    ep, out = run_filter(prepared, config)
+    if config.clock.isolate:
+        from starwise.estimators.tied_clocks import tied_events
+
+        return ep, out, {"events": [event.record() for event in tied_events(prepared, config, ep, out)]}
+    return ep, out, {}
 
 
 def _filter_notes(ep: EpochOut, config: RunConfig) -> tuple[str, ...]:

@@ -99,6 +99,18 @@ def align_clocks(
 
 
 @njit
+def _median_of(k: int, c: int, rows: Rows, out: RowModel, m: int, x: F8, work: Work) -> tuple[float, int]:
+    """Median code innovation of the satellites of clock k, at element c, and their number; 0 of fewer than three."""
+    count = 0
+    for j in range(m):
+        i = work.order[j]
+        if rows.clock[i] == k:
+            work.sorted[count] = code_innovation(rows, out, i, x, c, work.lasting)
+            count += 1
+    return (median(work.sorted, count) if count >= 3 else 0.0), count
+
+
+@njit
 def activate_clocks(
     options: FilterOptions, rows: Rows, out: RowModel, m: int, t_ns: int, nk: int, nc: int, tail: int, belief: Belief,
     x2: F8, P2: F8, work: Work,
@@ -163,7 +175,9 @@ def activate_clocks(
         )  # fmt: skip
         belief.missed[k] = 0
         belief.seen_ns[k] = t_ns
-        # Several satellites of it: start at the median of what they say.
+        # Several satellites of it: start at the median of what they say, against the reference's: the oscillator may
+        # have gone anywhere since the last epoch, and takes all its clocks along.
+        common, n_common = _median_of(ref, nk + new_at[ref], rows, out, m, belief.x, work)
         c = nk + new_at[k]
         n_sat, var = 0, 0.0
         for j in range(m):
@@ -179,8 +193,10 @@ def activate_clocks(
             for j in range(n_sat):
                 work.sorted[j] = abs(work.sorted[j] - middle)
             spread = 1.5 * median(work.sorted, n_sat)
-            belief.x[c] += middle
+            belief.x[c] += middle - common
             own = 25.0 * (spread * spread + var / n_sat)
+            if n_common < 3:
+                own += belief.P[nk + new_at[ref], nk + new_at[ref]]
             if own < sigma * sigma:
                 belief.P[c, c] += own - sigma * sigma
     return count
