@@ -8,6 +8,7 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from starwise.constants import EPOCH_STATUS_NAMES, ROW_STATUS_NAMES
 from starwise.errors import StarwiseError
 from starwise.frames import geodetic_from_ecef, rotations_ne_enu
+from starwise.io.files import read_bytes
 from starwise.io.foreign import read_foreign
 from starwise.io.kf_gins import NAV_NAME
 from starwise.io.pos import write_pos
@@ -293,7 +295,7 @@ def read_table(path: str | Path) -> Solution:
     import polars as pl
 
     try:
-        table = pl.read_csv(path, infer_schema_length=None)
+        table = pl.read_csv(BytesIO(read_bytes(path)), infer_schema_length=None)
         with np.errstate(invalid="raise"):  # blanks among whole numbers
             return _solution_of(table, {}, {"file": str(path), "format": "starwise csv"})
     except (OSError, KeyError, ValueError, TypeError, ArithmeticError, pl.exceptions.PolarsError) as error:
