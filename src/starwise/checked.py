@@ -46,7 +46,7 @@ class Checked:
     """Base of configuration dataclasses: fields are converted and checked against their types when made."""
 
     def __post_init__(self) -> None:
-        hints = typing.get_type_hints(type(self), include_extras=True)
+        hints = _hints(type(self))
         for item in dataclasses.fields(self):  # type: ignore[arg-type]
             value = _checked(getattr(self, item.name), hints[item.name], item.name)
             object.__setattr__(self, item.name, value)
@@ -61,7 +61,7 @@ class Checked:
             An unknown key (the nearest known one is named), a wrong type, or a value outside its limits.
         """
         known = {item.name for item in dataclasses.fields(cls)}  # type: ignore[arg-type]
-        hints = typing.get_type_hints(cls, include_extras=True)
+        hints = _hints(cls)
         values: dict[str, Any] = {}
         for key, value in data.items():
             if key not in known:
@@ -118,6 +118,16 @@ def read_toml(path: Path) -> dict[str, Any]:
             file=path,
             line=int(at.group(1)) if at else None,
         ) from None
+
+
+_HINTS: dict[type, dict[str, Any]] = {}
+
+
+def _hints(cls: type) -> dict[str, Any]:
+    """Types of the fields of a class, looked up once: that takes longer than all else of a check."""
+    if cls not in _HINTS:
+        _HINTS[cls] = typing.get_type_hints(cls, include_extras=True)
+    return _HINTS[cls]
 
 
 def _checked_class(hint: Any) -> type[Checked] | None:

@@ -10,6 +10,7 @@ import typer
 from starwise import cli_assess, cli_batch, cli_calibrate, cli_export, cli_fuse, cli_report, cli_sim, cli_solve
 from starwise.cli_examples import epilog
 from starwise.errors import StarwiseError
+from starwise.options import without_pydantic
 from starwise.terminal import Json, NoReport
 from starwise.terminal import Progress as _Progress
 from starwise.terminal import show as _print
@@ -34,6 +35,7 @@ def run(arguments: list[str]) -> int:
     StarwiseError
         Bad input; `starwise.__main__` prints it.
     """
+    without_pydantic()
     command = typer.main.get_command(app)
     try:
         code = command.main(args=arguments or ["--help"], prog_name="starwise", standalone_mode=False)

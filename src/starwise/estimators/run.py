@@ -151,13 +151,6 @@ def make_ledger(
         first_refused = (out.status == ROW_USED) & (prepared.error_rows.used == 2)
         status[at[first_refused]] = ROW_GATED
 
-    def spread(values: NDArray[Any], other: NDArray[Any] | None = None) -> NDArray[Any]:
-        result = np.full(n, np.nan)
-        result[at] = values
-        if beside and other is not None:
-            result[s.row2[second]] = other[second]
-        return result
-
     noise, noise2, rate_noise = noise_variances(prepared, out, vel_e)
     satellite_clock = C_LIGHT * prepared.states.clock_s
     known = out.geometric + out.sagnac + out.troposphere + out.ionosphere - prepared.rows.clock_m
@@ -165,31 +158,43 @@ def make_ledger(
     sig2[at] = pairs
     rate_used = np.zeros(n, dtype=bool)
     rate_used[at] = out.rate_used != 0
-    return {
+    columns: dict[str, NDArray[Any] | tuple[F8, F8 | None]] = {
         "t_ns": np.repeat(obs.t_ns, np.diff(obs.offsets)),
         "sv": obs.sv,
         "sig": obs.sig,
         "sig2": sig2,
         "status": status,
         "rate_used": rate_used,
-        "elevation_rad": spread(out.elevation),
-        "azimuth_rad": spread(out.azimuth),
+        "elevation_rad": (out.elevation, None),
+        "azimuth_rad": (out.azimuth, None),
         "cn0_dbhz": obs.cn0_dbhz,
-        "code_m": spread(s.code_m, prepared.error_rows.code2_m),
-        "geometric_m": spread(out.geometric),
-        "sagnac_m": spread(out.sagnac),
-        "satellite_clock_m": spread(satellite_clock),
-        "relativity_m": spread(C_LIGHT * prepared.states.relativity_s),
-        "group_delay_m": spread(prepared.group_delay_m),
-        "troposphere_m": spread(out.troposphere),
-        "ionosphere_m": spread(out.ionosphere),
-        "receiver_clock_m": spread(s.code_m - known - out.v_code),
-        "innovation_m": spread(out.v_code, prepared.error_rows.v2),
-        "innovation_var_m2": spread(out.s_code, prepared.error_rows.s2),
-        "rate_innovation_mps": spread(out.v_rate),
-        "rate_innovation_var_m2ps2": spread(out.s_rate),
-        "noise_var_m2": spread(noise, noise2),
-        "rate_noise_var_m2ps2": spread(rate_noise),
-        "ephemeris_age_s": spread(prepared.states.age_s),
-        "ephemeris_sigma_m": spread(prepared.rows.sigma_sat_m),
+        "code_m": (s.code_m, prepared.error_rows.code2_m),
+        "geometric_m": (out.geometric, None),
+        "sagnac_m": (out.sagnac, None),
+        "satellite_clock_m": (satellite_clock, None),
+        "relativity_m": (C_LIGHT * prepared.states.relativity_s, None),
+        "group_delay_m": (prepared.group_delay_m, None),
+        "troposphere_m": (out.troposphere, None),
+        "ionosphere_m": (out.ionosphere, None),
+        "receiver_clock_m": (s.code_m - known - out.v_code, None),
+        "innovation_m": (out.v_code, prepared.error_rows.v2),
+        "innovation_var_m2": (out.s_code, prepared.error_rows.s2),
+        "rate_innovation_mps": (out.v_rate, None),
+        "rate_innovation_var_m2ps2": (out.s_rate, None),
+        "noise_var_m2": (noise, noise2),
+        "rate_noise_var_m2ps2": (rate_noise, None),
+        "ephemeris_age_s": (prepared.states.age_s, None),
+        "ephemeris_sigma_m": (prepared.rows.sigma_sat_m, None),
     }
+    # One piece of memory for all terms: pages that are touched for the first time cost more than what is written there.
+    block = iter(np.full((sum(isinstance(c, tuple) for c in columns.values()), n), np.nan))
+    ledger: dict[str, NDArray[Any]] = {}
+    for name, column in columns.items():
+        if isinstance(column, tuple):
+            ledger[name] = next(block)
+            ledger[name][at] = column[0]
+            if beside and column[1] is not None:
+                ledger[name][s.row2[second]] = column[1][second]
+        else:
+            ledger[name] = column
+    return ledger

@@ -46,6 +46,7 @@ from starwise.kernels.rangemodel import (
 )
 from starwise.models.error_model import error_model, error_rows, no_errors, second_signals, slow_sigma
 from starwise.models.select import select
+from starwise.physics.broadcast import empty_states
 from starwise.signals import frequency_table, signal_name
 from starwise.types import F8, I2, I8, U1, Ephemeris, IonosphereModel, Observations, SatStates, Sightings
 
@@ -184,8 +185,8 @@ def prepare(obs: Observations, ephemeris: Ephemeris, ionosphere: IonosphereModel
 
 def _named_signals(sv: I2, sig: I2) -> str:
     """Systems and signals of rows, each once, like ``G 1C, R 2C``."""
-    pairs = set(zip((sv >> 8).tolist(), sig.tolist(), strict=True))
-    return ", ".join(sorted(f"{SYSTEMS[system]} {signal_name(int(g))}" for system, g in pairs))
+    pairs = np.flatnonzero(np.bincount((sv.astype(np.int64) >> 8 << 12) + sig))  # a signal has 12 bits
+    return ", ".join(sorted(f"{SYSTEMS[pair >> 12]} {signal_name(pair & 0xFFF)}" for pair in pairs.tolist()))
 
 
 def with_parameters(prepared: Prepared, p: ErrorParameters) -> Prepared:
@@ -258,24 +259,12 @@ def _scatter(found: SatStates, use: NDArray[np.intp], n: int) -> SatStates:
     """States of the usable rows spread over all rows."""
     if len(use) == n:
         return found
-
-    def spread(values: NDArray[Any], fill: float) -> NDArray[Any]:
-        out = np.full((n, *values.shape[1:]), fill, dtype=values.dtype)
-        out[use] = values
-        return out
-
-    return SatStates(
-        pos_e=spread(found.pos_e, np.nan),
-        vel_e=spread(found.vel_e, np.nan),
-        clock_s=spread(found.clock_s, np.nan),
-        drift=spread(found.drift, np.nan),
-        relativity_s=spread(found.relativity_s, np.nan),
-        sigma_m=spread(found.sigma_m, np.nan),
-        t_tx_ns=spread(found.t_tx_ns, 0),
-        age_s=spread(found.age_s, np.nan),
-        status=spread(found.status, SAT_NO_EPHEMERIS),
-        record=spread(found.record, -1),
-    )
+    states = empty_states(n)
+    unknown = {"t_tx_ns": 0, "status": SAT_NO_EPHEMERIS, "record": -1}
+    for name, values in vars(states).items():
+        values.fill(unknown.get(name, np.nan))
+        values[use] = getattr(found, name)
+    return states
 
 
 def _ephemeris_sigma(claim_m: F8, system: NDArray[np.int16]) -> F8:
@@ -336,8 +325,10 @@ def model_options(config: RunConfig, ionosphere: IonosphereModel) -> tuple[Model
 
 def empty_row_model(n: int) -> RowModel:
     """Outputs for ``n`` rows, NaN."""
+    small = ("status", "rate_used")
+    # One piece of memory: see `starwise.estimators.run.make_ledger`.
+    block = iter(np.full((len(RowModel._fields) - len(small), n), np.nan))
     columns: dict[str, Any] = {
-        name: np.zeros(n, dtype=np.uint8) if name in ("status", "rate_used") else np.full(n, np.nan)
-        for name in RowModel._fields
+        name: np.zeros(n, dtype=np.uint8) if name in small else next(block) for name in RowModel._fields
     }
     return RowModel(**columns)
