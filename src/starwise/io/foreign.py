@@ -1,7 +1,10 @@
 """Solutions of other programs, told apart by what is in the file, and read into a `Solution`."""
 
+from io import BytesIO
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from starwise.errors import StarwiseError
 from starwise.io.files import read_bytes
@@ -77,10 +80,22 @@ def read_foreign(path: str | Path) -> Solution:
     if kind in ("kf-gins", "kf-gins std"):
         return _kf_gins(path, kind)
     if kind == "csv":
-        from starwise.io.results import read_table
-
-        return read_table(path)
+        return _table(path)
     return _pos(path)
+
+
+def _table(path: Path) -> Solution:
+    """Solution of a table that ``starwise export --to csv`` wrote."""
+    import polars as pl
+
+    from starwise.io.results import solution_of_table
+
+    try:
+        table = pl.read_csv(BytesIO(read_bytes(path)), infer_schema_length=None)
+        with np.errstate(invalid="raise"):  # blanks among whole numbers
+            return solution_of_table(table, {}, {"file": str(path), "format": "starwise csv"})
+    except (KeyError, ValueError, TypeError, ArithmeticError, pl.exceptions.PolarsError) as error:
+        raise StarwiseError(f"not a solution table ({str(error).splitlines()[0]})", file=path) from None
 
 
 def _pos(path: Path) -> Solution:

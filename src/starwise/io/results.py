@@ -8,7 +8,6 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,7 +17,6 @@ from numpy.typing import NDArray
 from starwise.constants import EPOCH_STATUS_NAMES, ROW_STATUS_NAMES
 from starwise.errors import StarwiseError
 from starwise.frames import geodetic_from_ecef, rotations_ne_enu
-from starwise.io.files import read_bytes
 from starwise.io.foreign import read_foreign
 from starwise.io.kf_gins import NAV_NAME
 from starwise.io.pos import write_pos
@@ -279,27 +277,9 @@ def read_solution(path: str | Path, *, ledger: bool = True) -> Solution:
     rows = _read_parquet(path / LEDGER) if ledger and (path / LEDGER).is_file() else None
     table = _read_parquet(table_path)
     try:
-        return _solution_of(table, {} if rows is None else _ledger_of(rows), provenance)
+        return solution_of_table(table, {} if rows is None else _ledger_of(rows), provenance)
     except (KeyError, ValueError, TypeError) as error:
         raise StarwiseError(f"not a solution table ({error})", file=table_path) from None
-
-
-def read_table(path: str | Path) -> Solution:
-    """Solution of a table that ``starwise export --to csv`` wrote.
-
-    Raises
-    ------
-    StarwiseError
-        Not such a table.
-    """
-    import polars as pl
-
-    try:
-        table = pl.read_csv(BytesIO(read_bytes(path)), infer_schema_length=None)
-        with np.errstate(invalid="raise"):  # blanks among whole numbers
-            return _solution_of(table, {}, {"file": str(path), "format": "starwise csv"})
-    except (OSError, KeyError, ValueError, TypeError, ArithmeticError, pl.exceptions.PolarsError) as error:
-        raise StarwiseError(f"not a solution table ({str(error).splitlines()[0]})", file=path) from None
 
 
 def _is_parquet(path: Path) -> bool:
@@ -350,7 +330,8 @@ def _symmetric(table: "pl.DataFrame", pattern: str) -> NDArray[np.float64]:
     return cov
 
 
-def _solution_of(table: "pl.DataFrame", ledger: dict[str, NDArray[Any]], provenance: dict[str, Any]) -> Solution:
+def solution_of_table(table: "pl.DataFrame", ledger: dict[str, NDArray[Any]], provenance: dict[str, Any]) -> Solution:
+    """Solution of a table with the columns of ``solution.parquet``; KeyError, ValueError or TypeError if it is none."""
     systems = tuple(name[6:-2] for name in table.columns if name.startswith("clock_") and name.endswith("_m"))
     if "status" not in table.columns or "t_gpst_ns" not in table.columns:
         raise KeyError("t_gpst_ns and status")
