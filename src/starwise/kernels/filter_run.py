@@ -21,6 +21,16 @@ from starwise.kernels.error_states import (
     n_errors,
     reset_errors,
 )
+from starwise.kernels.filter_alarm import (
+    FEWEST_IN_VIEW,
+    REFUSED_ALARM,
+    REFUSED_USUAL,
+    STRAIN_ALARM,
+    contradicted,
+    in_view,
+    refused_part,
+    strain,
+)
 from starwise.kernels.filter_clocks import activate_clocks, align_clocks, count_missed
 from starwise.kernels.filter_epoch import arrange, tally, update_epoch
 from starwise.kernels.filter_predict import adapt_epoch, advance
@@ -84,15 +94,17 @@ def _write_common(e: int, nk: int, nc: int, belief: Belief, common: F8, common_c
 @njit
 def restart(
     model: ModelOptions, spp: SppOptions, options: FilterOptions, errors: ErrorModel, t_ns: int, rows: Rows,
-    extra: ErrorRows, start: int, end: int, nk: int, nc: int, running: bool, failing: bool, desperate: bool,
-    since_s: float, belief: Belief, slots: Slots, x2: F8, work: Work, e: int, ep: EpochOut, out: RowModel,
+    extra: ErrorRows, start: int, end: int, nk: int, nc: int, running: bool, failing: bool, alarmed: bool,
+    desperate: bool, since_s: float, belief: Belief, slots: Slots, x2: F8, work: Work, e: int, ep: EpochOut,
+    out: RowModel,
 ) -> tuple[int, int]:  # fmt: skip
     """Start, or start again, from the least-squares solution of this epoch, if it has one that can be trusted.
 
     A solution that failed its test, or that nothing checks, is taken only if ``desperate``, with that much more
     variance, and the epoch is marked suspect. A velocity is taken only if its rates were checked, and not if the start
     before this one failed soon, ``since_s`` ago (else NaN): something wrong in the rates passed the check. A static
-    receiver says what: the rates, if they claim that it went far and its codes that it did not.
+    receiver says what: the rates, if they claim that it went far and its codes that it did not. A filter that is only
+    ``alarmed`` starts again where least squares contradicts it, and else goes on.
 
     Returns
     -------
@@ -114,6 +126,8 @@ def restart(
     vel, Pv, numbers = np.zeros(4), np.zeros((4, 4)), np.zeros(4)
     status = spp_epoch(model, spp, t_ns, rows, start, end, tie, tie_var, xs, Ps, vel, Pv, numbers, out)
     if not (status == EPOCH_OK or (status == EPOCH_SUSPECT and desperate)):
+        return 0, -1
+    if alarmed and not contradicted(xs, Ps, belief.x, belief.P):
         return 0, -1
     doubt = 1.0
     if status == EPOCH_SUSPECT:
@@ -144,7 +158,7 @@ def restart(
         nc = start_filter(options, nk, t_ns, xs, Ps, vel, Pv, doubt, belief)
     _write(e, nk, nc, errors.floor, belief, ep)
     dops(out, start, end, ep.dop[e])
-    ep.status[e] = EPOCH_RESET if failing and status == EPOCH_OK else status
+    ep.status[e] = EPOCH_RESET if (failing or alarmed) and status == EPOCH_OK else status
     ep.n_used[e], ep.dof[e], ep.nis[e] = int(numbers[0]), int(numbers[1]), numbers[2]
     return nc, rates
 
@@ -207,6 +221,7 @@ def filter_run(
     running, nc, t_last, dt_known = False, 0, 0, -1.0
     failed = 0  # epochs in a row that disagreed
     weak = 0  # epochs in a row in which codes were gated and the rest was too few to check itself
+    blind, strained, refused = 0, 0, 0.0  # signs of a filter that is lost and does not fail, see `filter_alarm`
     wait, t_wait = 0, 0  # epochs until rates are used, and since when
     strikes, e_strike, t_strike, e_start, t_start = 0, -SOON_EPOCHS - 1, 0, -SOON_EPOCHS - 1, 0
     ignore = False  # rates are wrong throughout
@@ -235,13 +250,15 @@ def filter_run(
             running, lost, failed = False, True, 0
         t_last = t_ns
         failing = running and (failed >= options.patience or weak >= options.weak_patience)
-        if lost or failing:
+        alarmed = running and not (lost or failing)
+        alarmed = alarmed and (max(blind, strained) >= options.patience or refused > REFUSED_ALARM)
+        if lost or failing or alarmed:
             desperate = not running or failed >= 2 * options.patience
             soon = e - e_start <= SOON_EPOCHS or t_ns - t_start <= SOON_NS
             since_s = (t_ns - t_start) * 1e-9 if failing and soon else np.nan
             started, rates = restart(
-                model, spp, options, errors, t_ns, rows, extra, start, end, nk, nc, running, failing, desperate,
-                since_s, belief, slots, x2, work, e, ep, out,
+                model, spp, options, errors, t_ns, rows, extra, start, end, nk, nc, running, failing, alarmed,
+                desperate, since_s, belief, slots, x2, work, e, ep, out,
             )  # fmt: skip
             if started > 0:
                 _write_common(e, nk, started, belief, common, common_cov)
@@ -254,6 +271,7 @@ def filter_run(
                 memory.fill(0.0)
                 wait, t_wait = 0 if rates == RATES_CHECKED else TRIAL_EPOCHS, t_ns
                 nc, running, failed, weak, e_start, t_start = started, True, 0, 0, e, t_ns
+                blind, strained, refused = 0, 0, 0.0
                 if not P[0, 0] + P[1, 1] + P[2, 2] <= max_var:
                     ep.status[e] = EPOCH_SUSPECT
                 if ignore:
@@ -303,7 +321,11 @@ def filter_run(
         ep.n_used[e], ep.dof[e], ep.nis[e] = n_used, dof, nis
         if m == 0:
             ep.status[e] = EPOCH_COASTED
+            blind = blind + 1 if in_view(rows, start, end) >= FEWEST_IN_VIEW else 0
             continue
+        blind = 0
+        strained = strained + 1 if strain(errors, slots, x, P, nk + 2 * nc) > STRAIN_ALARM else 0
+        refused = min(max(refused + refused_part(rows, m, at, work) - REFUSED_USUAL, 0.0), 2.0 * REFUSED_ALARM)
         redundant = n_used > 3 + n_clocks
         if not agreed or nis > threshold(options.chi2, dof):
             failed += 1

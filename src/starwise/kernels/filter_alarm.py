@@ -1,0 +1,73 @@
+"""Signs that a filter is lost although most of an epoch agrees with it, or nothing of it is used.
+
+A wrong position that is not wrong enough for most codes to contradict it is explained away: some codes stay outside the
+gate, and the states of lasting errors take what they never have. From a place that is very wrong all satellites are
+below the horizon. None of these makes an epoch fail, and a filter with such a position kept it for hours. They are
+looked at over epochs; what they raise is only a suspicion, and least squares decides (`contradicted`): a street, or a
+storm in the ionosphere, raises it as well.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starwise.constants import ROW_USED
+from starwise.kernels._jit import njit
+from starwise.kernels.error_states import ErrorModel, Slots, n_errors
+from starwise.kernels.filter_state import Work
+from starwise.kernels.rangemodel import Rows
+from starwise.kernels.update import USED_CODE
+
+F8 = NDArray[np.float64]
+I8 = NDArray[np.int64]
+
+FEWEST_CODES = 6  # codes from which on a part of them says something
+FEWEST_IN_VIEW = 4
+REFUSED_USUAL = 0.15  # part of the codes outside the gate that a faulty satellite, or a street, explains
+REFUSED_ALARM = 0.5  # sum over epochs of what exceeds it
+STRAIN_ALARM = 2.0  # mean square of what is estimated; one if the model holds
+CONTRADICTION = 25.0  # squared distance from least squares, in variances of both
+
+
+@njit
+def refused_part(rows: Rows, m: int, at: I8, work: Work) -> float:
+    """Part of the codes of an epoch outside the gate; a system of which all are is one whose clock stepped."""
+    count, refused = 0, 0
+    for c in range(len(at)):
+        own, used = 0, 0
+        for k in range(m):
+            if rows.clock[work.order[k]] == c:
+                own += 1
+                used += 1 if work.used[k] & USED_CODE else 0
+        if used > 0:
+            count += own
+            refused += own - used
+    return refused / count if count >= FEWEST_CODES else 0.0
+
+
+@njit
+def strain(errors: ErrorModel, slots: Slots, x: F8, P: F8, base: int) -> float:
+    """Mean square of the estimates of lasting errors over what their prior allows: one where the model holds."""
+    total, allowed = 0.0, 0.0
+    for i in range(base, base + n_errors(errors, slots)):
+        total += x[i] * x[i]
+        allowed += 1.0 - P[i, i]
+    return total / max(allowed, 1.0)
+
+
+@njit
+def contradicted(xs: F8, Ps: F8, x: F8, P: F8) -> bool:
+    """Whether a position of least squares ``xs`` (with covariance) is farther from the filter's than both allow."""
+    gone2, var = 0.0, 0.0
+    for i in range(3):
+        gone2 += (xs[i] - x[i]) ** 2
+        var += Ps[i, i] + P[i, i]
+    return gone2 > CONTRADICTION * var
+
+
+@njit
+def in_view(rows: Rows, start: int, end: int) -> int:
+    """Codes of an epoch that only the elevation mask, seen from a wrong place, can keep away."""
+    count = 0
+    for i in range(start, end):
+        count += 1 if rows.status[i] == ROW_USED else 0
+    return count
