@@ -8,6 +8,7 @@ The main entry points, imported when first used so that ``import starwise`` cost
 * `read_obs`, `read_nav`, `read_sp3`, `read_clk`, `read_pos`, `read_residuals`, `read_solution`, `read_truth`: files as
   nouns;
 * `write_results`: a solution as files; `export`: for maps and other programs;
+* `Consistency`, `Observability`, `Stability`: what the laboratory says of a run (``.of(solution)``, ``.verdict``);
 * `RunConfig`, `Solution`, `Observations`, `StarwiseError`: the nouns.
 """
 
@@ -17,6 +18,9 @@ from typing import TYPE_CHECKING, Any
 from starwise._version import __version__
 
 if TYPE_CHECKING:
+    from starwise.analysis.lab import Consistency
+    from starwise.analysis.run_observability import Observability
+    from starwise.analysis.run_stability import Stability
     from starwise.api import assess, info, pool, solve
     from starwise.api_export import export
     from starwise.config import RunConfig, load_config
@@ -39,6 +43,9 @@ _HOME = {
     "pool": "api",
     "export": "api_export",
     "fuse_files": "studies.fusing",
+    "Consistency": "analysis.lab",
+    "Observability": "analysis.run_observability",
+    "Stability": "analysis.run_stability",
     "RunConfig": "config",
     "load_config": "config",
     "StarwiseError": "errors",
@@ -59,9 +66,12 @@ _HOME = {
 
 __all__ = [
     "BroadcastRecords",
+    "Consistency",
+    "Observability",
     "Observations",
     "RunConfig",
     "Solution",
+    "Stability",
     "StarwiseError",
     "Truth",
     "__version__",

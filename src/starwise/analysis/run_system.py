@@ -286,8 +286,8 @@ def config_of(solution: Solution) -> tuple[RunConfig, tuple[str, ...]]:
     notes = []
     if config.method == "federated":
         notes.append("federated: the system is that of the central filter with the same measurements")
-    if getattr(config, "adaptation", "none") != "none":
-        notes.append(f"adaptation {config.adaptation}: not followed, the system is that without it")  # type: ignore[attr-defined]
+    if config.adaptation != "none":
+        notes.append(f"adaptation {config.adaptation}: not followed, the system is that without it")
     return config, tuple(notes)
 
 

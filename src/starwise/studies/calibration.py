@@ -94,6 +94,10 @@ class Case:
     windows: tuple[tuple[int, int], ...]
 
 
+ABSURD_M = 100e3
+"""Distance of a truth from the solution, m, beyond which it is of another place."""
+
+
 def read_cases(path: Path) -> list[Case]:
     """Measurements of a TOML file (see `CalibrationFile`); their files stand relative to it.
 
@@ -129,7 +133,16 @@ def _case(item: SetFile, folder: Path, listed: CalibrationFile, combination: Lit
     if len(windows) > 2:
         windows = windows[:: listed.every]
     name = item.name if combination == "uncombined" else f"{item.name}, L1"
-    return Case(name, item.station or item.name, item.dynamics, item.systems, prepared, truth, tuple(windows))
+    case = Case(name, item.station or item.name, item.dynamics, item.systems, prepared, truth, tuple(windows))
+    error, _ = errors_of(case, ErrorParameters(), case.dynamics[0], windows[0])
+    away = float(np.median(np.linalg.norm(error, axis=1))) if len(error) else 0.0
+    if away > ABSURD_M:  # parameters made to explain this would be wrong for everybody
+        raise StarwiseError(
+            "the truth is not where the measurements were made",
+            file=folder / item.observations, found=f"{away / 1e3:.0f} km from the solution ({item.truth})",
+            wanted=f"less than {ABSURD_M / 1e3:.0f} km",
+        )  # fmt: skip
+    return case
 
 
 def _truth_at(truth: Truth, t_ns: np.ndarray) -> F8:
