@@ -12,7 +12,8 @@ from starwise.report.html.accuracy import compared, distribution, errors_by_epoc
 from starwise.report.html.encode import packed
 from starwise.report.html.epochs import Local, epochs_payload, localised, shown_epochs
 from starwise.report.html.page import rendered
-from starwise.report.html.run import _input, _span
+from starwise.report.html.run import span
+from starwise.report.html.tables import input_row
 from starwise.report.html.words import method_of, number
 from starwise.types import Solution, Truth
 
@@ -66,12 +67,12 @@ def compare_page(items: Sequence[Compared], truth: Truth | None = None) -> bytes
         "compare.html",
         data,
         title=f"{len(items)} solutions compared",
-        span=_span(base),
+        span=span(base),
         truth=None if truth is None else truth.source,
         reference=items[0].name,
         word=data["word"],
         rows=[_row(item) for item in items],
-        inputs=[[_input(entry) for entry in item.solution.provenance.get("inputs", ())] for item in items],
+        inputs=[[input_row(entry) for entry in item.solution.provenance.get("inputs", ())] for item in items],
     )
 
 

@@ -11,7 +11,17 @@ from starwise.errors import StarwiseError
 from starwise.report.html.encode import safe_json
 
 _HERE: Final = Path(__file__).parent
-_SCRIPTS: Final = ("core.js", "axes.js", "strips.js", "maps.js", "sensors.js", "compare.js", "inspector.js", "main.js")
+_SCRIPTS: Final = (
+    "core.js",
+    "axes.js",
+    "strips.js",
+    "maps.js",
+    "sensors.js",
+    "compare.js",
+    "diagnosis.js",
+    "inspector.js",
+    "main.js",
+)
 
 
 @cache

@@ -5,8 +5,9 @@ from typing import Any
 
 from starwise.report.html.epochs import epochs_payload, localised, shown_epochs
 from starwise.report.html.page import rendered
-from starwise.report.html.run import _sections, _span, flattened
+from starwise.report.html.run import sections, span
 from starwise.report.html.satellites import cells_of, satellites_payload
+from starwise.report.html.tables import flattened
 from starwise.report.html.words import KINDS, REASONS, Readout, duration, number
 from starwise.types import Solution
 
@@ -58,7 +59,7 @@ def simulation_page(
         "simulation.html",
         data,
         title=str(record["scenario"]),
-        span=_span(truth),
+        span=span(truth),
         description=str(scenario.get("description", "")),
         readouts=readouts,
         faults=faults_of(scenario),
@@ -70,7 +71,7 @@ def simulation_page(
             if isinstance(part, Mapping) and part and name not in ("vehicle",)
         ],
         segments=_segments(scenario.get("vehicle", {})),
-        has=_sections(truth, data),
+        has=sections(truth, data),
     )
 
 

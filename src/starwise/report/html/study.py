@@ -37,6 +37,7 @@ def study_page(text: str, folder: str | Path, paper: str = "", intro: str = "") 
     html = parser.render(body)
     html = html.replace("<table>", '<div class="tabled"><table>').replace("</table>", "</table></div>")
     html = _IMAGE.sub(lambda found: f'<img loading="eager" src="{_inlined(Path(folder), found.group(1))}"', html)
+    html = _sectioned(html)
     headings = re.findall(r"<h2>(.*?)</h2>", html)
     for i in range(len(headings)):
         html = html.replace("<h2>", f'<h2 id="s{i}">', 1)
@@ -49,6 +50,17 @@ def study_page(text: str, folder: str | Path, paper: str = "", intro: str = "") 
         headings=[Markup(heading) for heading in headings],
         body=Markup(html),
     )
+
+
+def _sectioned(html: str) -> str:
+    """Each section in a panel of its own; the figures, which end the report, in a grid."""
+    figures = re.findall(r"<img [^>]*>", html)
+    head, *rest = re.sub(r"<p>(\s*<img [^>]*>\s*)+</p>", "", html).split("<h2>")
+    out = head + "".join(f'<section class="panel"><h2>{part}</section>' for part in rest)
+    if figures:
+        shown = "".join(f'<figure class="panel">{figure}</figure>' for figure in figures)
+        out += f'<section><h2>Figures</h2><div class="figures">{shown}</div></section>'
+    return out
 
 
 def _titled(text: str) -> tuple[str, str]:

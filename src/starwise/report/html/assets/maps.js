@@ -260,7 +260,13 @@ function rowOrder() {
 }
 const availabilitySpec = () => ({
   time: true, dims: true,
-  height: () => Math.max(220, Math.min(S.names.length, 200) * (S.names.length > 45 ? 9.5 : 13) + 74),
+  // as high as what stands beside it, if that is more
+  height: () => {
+    const own = Math.max(220, Math.min(S.names.length, 200) * (S.names.length > 45 ? 9.5 : 13) + 74);
+    const beside = ["sky", "persat"].map((id) => panels.get(id)).filter(Boolean);
+    if (beside.length < 2 || printing || innerWidth <= 1100) return own;
+    return Math.max(own, Math.round(beside.reduce((sum, p) => sum + p.spec.height(p.box.clientWidth), 0) + 82));
+  },
   build(p) {
     const order = rowOrder(), lists = {}, ticks = {}, half = E.interval_ms / 2, R = S.runs;
     const thick = S.names.length > 45 ? 4.5 : 6.5;
