@@ -150,6 +150,16 @@ def test_heights(solution: Solution) -> None:
         first("geojson", solution, geoid_m=48.5)
 
 
+def test_the_geoid_of_nmea_is_kept(solution: Solution, tmp_path: Path) -> None:
+    starwise.export(solution, output=tmp_path / "x.nmea", geoid_m=48.5)
+    made = starwise.export(tmp_path / "x.nmea", output=tmp_path / "x.gpx")
+    assert made.notes == ()
+    height = float(ET.parse(made.files[0]).getroot().findtext(f".//{GPX}ele") or "nan")
+    assert height == pytest.approx(geodetic_from_ecef(solution.pos_e[0])[2] - 48.5, abs=2e-3)  # NMEA has 1 mm
+    starwise.export(solution, output=tmp_path / "y.nmea")  # separation 0: not known
+    assert "ellipsoidal" in starwise.export(tmp_path / "y.nmea", output=tmp_path / "y.gpx").notes[0]
+
+
 def test_shapes_of_kml_lie_on_the_ground_unless_sea_level_is_known(solution: Solution) -> None:
     assert b"clampToGround" in text_of(solution, "kml")
     assert b"<altitudeMode>absolute" in text_of(solution, "kml", geoid_m=48.5)

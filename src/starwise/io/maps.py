@@ -201,10 +201,12 @@ def render(solutions: Sequence[tuple[str, Solution]], to: str, choice: Choice) -
     """
     _known(to)
     kept = [(name, _kept(solution, choice)) for name, solution in solutions]
+    choices = [_choice_for(solution, to, choice) for _, solution in kept]
     epochs = sum(solution.n_epochs for _, solution in kept)
     if not epochs:
         raise StarwiseError("no epoch to write", found=", ".join(name for name, _ in kept), wanted="positions")
-    notes = list(dict.fromkeys(note for _, solution in kept for note in _height_notes(solution, to, choice)))
+    pairs = zip(kept, choices, strict=True)
+    notes = list(dict.fromkeys(note for (_, one), chosen in pairs for note in _height_notes(one, to, chosen)))
     if to in ("csv", "pos"):
         from starwise.io.maps_text import csv_table
         from starwise.io.pos import write_pos
@@ -220,7 +222,16 @@ def render(solutions: Sequence[tuple[str, Solution]], to: str, choice: Choice) -
         from starwise.io import maps_text
 
         writers = {"geojson": maps_text.geojson, "nmea": maps_text.nmea}
-    return writers[to]([_track(name, solution, to, choice) for name, solution in kept]), epochs, tuple(notes)
+    tracks = [_track(name, one, to, chosen) for (name, one), chosen in zip(kept, choices, strict=True)]
+    return writers[to](tracks), epochs, tuple(notes)
+
+
+def _choice_for(solution: Solution, to: str, choice: Choice) -> Choice:
+    """With the geoid height of the input where that has one (NMEA), and the format wants heights above sea level."""
+    known = solution.provenance.get("geoid_m")
+    return (
+        choice if choice.geoid_m is not None or known is None or to not in SEA_LEVEL else replace(choice, geoid_m=known)
+    )
 
 
 def _kept(solution: Solution, choice: Choice) -> Solution:

@@ -25,6 +25,8 @@ _SENTENCE: Final = re.compile(
 _ALIKE: Final = 0.3
 """Greatest relative difference between the variances of the ellipse and of latitude and longitude of one GST."""
 
+_GEOID_SPREAD_M: Final = 1.0
+"""Within this, the geoid is one height for a whole file."""
 _MANY: Final = 10
 """Wrong checksums from which on they are the writer's."""
 
@@ -48,18 +50,20 @@ class _Log:
     sigmas: dict[int, list[float]] = field(default_factory=dict)
     skipped: int = 0
     forgiven: tuple[str, ...] = ()
+    geoid_m: list[float] = field(default_factory=list)
 
 
 def parse_nmea(text: str, name: str) -> Solution:
     """Solution of a text with NMEA sentences of any talker: GGA gives positions, RMC or ZDA the date, GST the sigmas.
 
     Height above the ellipsoid is the sum of the antenna's height above the geoid and the geoid separation of the same
-    sentence. Time is UTC. Covariances are those of the GST of the same time: 1-sigma errors of latitude, longitude and
-    height; east and north are correlated as the error ellipse says, where ellipse and sigmas agree. Epochs without GST
-    have NaN, and ``provenance["covariance"]`` says how many those are. Sentences with a wrong checksum, and those
-    before the first date, are left out and counted in ``provenance["skipped"]``; where a program gets the checksums of
-    one kind of sentence wrong throughout, they are taken and ``provenance["checksums"]`` says so. A sentence may stand
-    after other things in its line (logs of Android, mixed binary logs).
+    sentence (``provenance["geoid_m"]``, if it is one for all). Time is UTC. Covariances are those of the GST of the same
+    time: 1-sigma errors of latitude, longitude and height; east and north are correlated as the error ellipse says,
+    where ellipse and sigmas agree. Epochs without GST have NaN, and ``provenance["covariance"]`` says how many those
+    are. Sentences with a wrong checksum, and those before the first date, are left out and counted in
+    ``provenance["skipped"]``; where a program gets the checksums of one kind of sentence wrong throughout, they are
+    taken and ``provenance["checksums"]`` says so. A sentence may stand after other things in its line (logs of Android,
+    mixed binary logs).
 
     Raises
     ------
@@ -102,7 +106,14 @@ def _take(log: _Log, kind: str, fields: list[str]) -> None:
                 log.sigmas[t_ns] = [_positive(text) for text in given[2:8]]
             else:
                 log.rows.append(_row(t_ns, given))
+                log.geoid_m.append(float(given[10] or 0.0))
         log.waiting.clear()
+
+
+def _geoid(separations: list[float]) -> dict[str, float]:
+    """Height of the geoid, if the sentences agree on one; 0 is what is written where it is not known."""
+    known = np.array(separations)
+    return {"geoid_m": float(np.median(known))} if known.all() and np.ptp(known) < _GEOID_SPREAD_M else {}
 
 
 def _never_right(sentences: list[tuple[re.Match[str], bool]]) -> tuple[str, ...]:
@@ -197,6 +208,7 @@ def _solution(log: _Log, name: str) -> Solution:
             "format": "nmea",
             "height": "ellipsoidal",
             "covariance": "no GST: none" if without == len(rows) else f"GST; {without} epochs without",
+            **_geoid(log.geoid_m),
             "skipped": log.skipped,
             "checksums": f"wrong in all {', '.join(log.forgiven)}" if log.forgiven else "right",
             "quality": {str(q): count for q, count in sorted(Counter(quality.tolist()).items())},
