@@ -57,7 +57,7 @@ def parse_nmea(text: str, name: str) -> Solution:
     """Solution of a text with NMEA sentences of any talker: GGA gives positions, RMC or ZDA the date, GST the sigmas.
 
     Height above the ellipsoid is the sum of the antenna's height above the geoid and the geoid separation of the same
-    sentence (``provenance["geoid_m"]``, if it is one for all). Time is UTC. Covariances are those of the GST of the same
+    sentence (``provenance["geoid_m"]``, if it is one for all). Time is UTC. Covariances are of the GST of the same
     time: 1-sigma errors of latitude, longitude and height; east and north are correlated as the error ellipse says,
     where ellipse and sigmas agree. Epochs without GST have NaN, and ``provenance["covariance"]`` says how many those
     are. Sentences with a wrong checksum, and those before the first date, are left out and counted in
