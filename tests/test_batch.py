@@ -77,7 +77,7 @@ def test_a_batch_of_a_million_takes_units_as_it_needs_them(tmp_path):
         return Done({"number": work.number, "unit": work.unit.name, "status": "ok", "resumed": False, "seconds": 0.0})
 
     def progress(what, fraction):
-        if what.startswith("100 of"):
+        if what.startswith("100 of 1000000 units"):
             raise EnoughError
 
     with pytest.raises(EnoughError):
@@ -286,6 +286,11 @@ def test_foreign_files_are_not_overwritten(tmp_path):
 def test_two_batches_in_one_folder_are_refused(tmp_path):
     with run_module._claimed(str(tmp_path)), pytest.raises(StarwiseError, match="another batch"):
         run_batch(of(unit("a")), tmp_path, workers=1)
+    with pytest.raises(StarwiseError, match="two units of the same name"):
+        run_batch(of(unit("a"), unit("a")), tmp_path, workers=1)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StarwiseError, match="cannot be written"):
+        run_batch(of(unit("a")), tmp_path / "file", workers=1)
 
 
 def test_results_at_a_url(tmp_path):

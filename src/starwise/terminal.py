@@ -18,9 +18,9 @@ NoReport = Annotated[bool, typer.Option("--no-report", help="Leave out report.ht
 class Progress:
     """Progress bar on the error stream if that is a terminal, else silence.
 
-    It shows the part that is done, how fast that goes (in what is counted, where the text says "120 of 1000 runs"), and
-    the time left. A line says that kernels are compiled, terminal or not, unless ``quiet``: a minute without a word
-    looks like a fault.
+    It shows the part that is done, how fast that goes (in what is counted, where the text says "120 of 1000 runs",
+    perhaps with more after a comma), and the time left. A line says that kernels are compiled, terminal or not, unless
+    ``quiet``: a minute without a word looks like a fault.
     """
 
     def __init__(self, silent: bool, quiet: bool = False) -> None:
@@ -31,15 +31,16 @@ class Progress:
             from rich.console import Console
             from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
             from rich.progress import Progress as Bar
+            from rich.table import Column
 
             columns = (
                 TextColumn("{task.description:12}"),
-                BarColumn(bar_width=20),
+                BarColumn(bar_width=None, table_column=Column(ratio=1, min_width=4, max_width=20)),
                 TextColumn("{task.fields[done]}"),
                 TimeElapsedColumn(),
                 TextColumn("{task.fields[pace]}"),
             )
-            self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
+            self._bar = Bar(*columns, console=Console(stderr=True), transient=True, expand=True)
             self._task = self._bar.add_task("", total=1.0, done="", pace="")
 
     def __enter__(self) -> Callable[[str, float], None]:
@@ -93,10 +94,11 @@ class Pace:
         if what == "compiling":
             self._first = self._counted = None  # no measure of what comes after
             return ""
-        if self._first is None:
+        counted = re.fullmatch(r"(\d+) of \d+ (\w+)(?:, .*)?", what)
+        other = counted is not None and self._counted is not None and counted[2] != self._counted[0]
+        if self._first is None or other:  # other things go at another rate
             self._first = (fraction, now_s)
         gone, done = now_s - self._first[1], fraction - self._first[0]
-        counted = re.fullmatch(r"(\d+) of \d+ (\w+)", what)
         rate = f"{100.0 * done / gone:.0f} %/s" if gone > 0.0 else ""
         if counted is not None:
             number, unit = int(counted[1]), counted[2]

@@ -4,7 +4,7 @@ import json
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,6 +15,7 @@ from starwise.batch.manifest import Manifest
 from starwise.batch.work import FAILED, NO_SOLUTION, OK, UNPAIRED, Done, Work, do_unit, failed, sealed, withdraw
 from starwise.errors import StarwiseError
 from starwise.spread import sources_hash, spread
+from starwise.spread.cluster import LOCAL
 from starwise.warmup import COMPILING, ensure_warm
 
 if TYPE_CHECKING:
@@ -64,21 +65,22 @@ def run_batch(
     """
     place = str(output)
     say = progress or (lambda _what, _fraction: None)
-    ensure_warm(lambda: say(COMPILING, 0.0))
+    if scheduler is None or scheduler == LOCAL:  # workers elsewhere have kernels of their own
+        ensure_warm(lambda: say(COMPILING, 0.0))
     began = time.perf_counter()
-    rows, pace = Rows(), _Pace(manifest.total)
+    rows, count = Rows(), _Count(manifest.total)
     with _claimed(place) as token:
-        say(pace.text(), 0.0)
+        say(count.text(), 0.0)
         done = spread(do, _works(manifest, place, token), lost=failed, workers=workers, scheduler=scheduler)
         try:
             for work, result in done:
                 _keep(work, result)
                 rows.add(result.row)
-                pace.add(result.row)
-                say(pace.text(), pace.fraction)
+                count.add(result.row)
+                say(count.text(), count.fraction)
         finally:
             # also what there is when it is interrupted; the rest is in the units' own folders
-            for number, (path, reason) in enumerate(manifest.unpaired, manifest.total or pace.done):
+            for number, (path, reason) in enumerate(manifest.unpaired, manifest.total or count.done):
                 rows.add({"number": number, "unit": path, "status": UNPAIRED, "message": reason, "resumed": False})
             table = rows.table()
             _write(table, place, time.perf_counter() - began, workers, scheduler)
@@ -89,7 +91,11 @@ def run_batch(
 def _works(manifest: Manifest, place: str, token: str | None) -> Iterator[Work]:
     """Units made ready for workers, one at a time."""
     code = sources_hash()
+    names: set[str] = set()
     for number, unit in enumerate(manifest.units()):
+        if unit.name in names:
+            raise StarwiseError("two units of the same name", found=unit.name)
+        names.add(unit.name)
         work = Work(number, unit, place, code, token)
         yield work if token is None else Work(number, unit, place, code, token, sealed(work.place))
 
@@ -112,21 +118,20 @@ def _claimed(place: str) -> Iterator[str | None]:
         yield None
         return
     folder = Path(place)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        token = folder.resolve() / f".batch-{uuid.uuid4().hex}"
-        with (folder / ".batch.lock").open("w") as lock:
+    with ExitStack() as stack:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            lock = stack.enter_context((folder / ".batch.lock").open("w"))
             if not _locked(lock.fileno()):
                 raise StarwiseError("another batch is writing there", file=folder)
             for old in folder.glob(".batch-*"):
                 old.unlink(missing_ok=True)
+            token = folder.resolve() / f".batch-{uuid.uuid4().hex}"
             token.touch()
-            try:
-                yield str(token)
-            finally:
-                token.unlink(missing_ok=True)
-    except OSError as error:
-        raise StarwiseError(f"cannot be written ({error.strerror})", file=folder) from None
+        except OSError as error:
+            raise StarwiseError(f"cannot be written ({error.strerror})", file=folder) from None
+        stack.callback(token.unlink, missing_ok=True)
+        yield str(token)
 
 
 def _locked(number: int) -> bool:
@@ -161,18 +166,19 @@ def _write(table: "pl.DataFrame", place: str, seconds: float, workers: int | Non
     store.put_files(files, place)
 
 
-class _Pace:
-    """How far a batch is, how fast it goes, and how long it will take."""
+class _Count:
+    """How far a batch is; how fast it goes is seen by who shows it."""
 
     def __init__(self, total: int | None) -> None:
-        self._total, self._began = total, time.monotonic()
-        self.done = self._failed = self._worked = 0
+        self._total = total
+        self.done = self._failed = 0
+        self._what = "units"
 
     def add(self, row: Any) -> None:
         """Count a unit."""
         self.done += 1
         self._failed += row["status"] == FAILED
-        self._worked += not row["resumed"]
+        self._what = "found" if row["resumed"] else "units"
 
     @property
     def fraction(self) -> float:
@@ -180,16 +186,9 @@ class _Pace:
         return self.done / self._total if self._total else 0.0
 
     def text(self) -> str:
-        """``37 of 400, 2 failed, 1.3/s, 4 min left``."""
-        parts = [f"{self.done} of {self._total}" if self._total is not None else f"{self.done} units"]
-        if self._failed:
-            parts.append(f"{self._failed} failed")
-        rate = self._worked / max(time.monotonic() - self._began, 1e-9)
-        if self._worked:
-            parts.append(f"{rate:.2g}/s" if rate < 10 else f"{rate:.0f}/s")
-            if self._total is not None:
-                parts.append(f"{span((self._total - self.done) / rate)} left")
-        return ", ".join(parts)
+        """``37 of 400 units, 2 failed``; ``found`` where the last one was there already."""
+        of = f"{self.done} of {self._total} {self._what}" if self._total is not None else f"{self.done} units"
+        return f"{of}, {self._failed} failed" if self._failed else of
 
 
 def span(seconds: float) -> str:
