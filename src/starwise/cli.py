@@ -48,7 +48,9 @@ def run(arguments: list[str]) -> int:
         wording = getattr(error, "format_message", None)
         if wording is None:
             raise
-        raise StarwiseError(f"{wording()} (see starwise --help)") from None
+        context = getattr(error, "ctx", None)
+        command_path = "starwise" if context is None else context.command_path
+        raise StarwiseError(f"{wording()} (see {command_path} --help)") from None
     return int(code) if isinstance(code, int) else 0
 
 

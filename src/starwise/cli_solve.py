@@ -230,5 +230,7 @@ def solve(
         show(solve_text(solution.provenance, output, time.perf_counter() - began))
     if not solution.has_position.any():
         # The files are written and their ledger says why; a script must still be able to tell.
-        sys.stderr.write("starwise: no epoch could be solved; the ledger says why\n")
+        from starwise.report.text import unsolved_text
+
+        sys.stderr.write(f"starwise: {unsolved_text(solution.provenance['summary'])}\n")
         raise typer.Exit(1)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from starwise import api
-from starwise.io.results import read_solution
+from starwise.io.results import prepare_directory, read_solution
 from starwise.report.text import solve_text
 
 METHODS = ("lsq", "s3ekf")
@@ -58,6 +58,7 @@ def run_demo(
     folder = Path(directory)
     say = progress or (lambda _what, _fraction: None)
     began = time.perf_counter()
+    prepare_directory(folder / METHODS[-1])  # before anybody waits for kernels
     say("simulating", 0.0)
     with ThreadPoolExecutor(1) as pool:  # the simulator's kernels are compiled here, meanwhile others elsewhere
         warm = pool.submit(ensure_warm, lambda: say(COMPILING, 0.0))

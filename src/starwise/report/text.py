@@ -311,3 +311,27 @@ def _field(label: str, text: str) -> list[str]:
     clean = "".join(ch if ch.isprintable() else "?" for ch in text)
     wrapped = textwrap.wrap(clean, WIDTH - 14, subsequent_indent="  ") or [""]
     return [f"{label if i == 0 else '':<14}{part}" for i, part in enumerate(wrapped)]
+
+
+_WHAT_TO_DO = {
+    "no_ephemeris": "are the navigation files of these hours and systems?",
+    "ephemeris_too_old": "are the navigation files of these hours and systems?",
+    "unhealthy": "all satellites say that they are not to be used",
+    "no_code": "the observations have no pseudoranges",
+    "bad_code": "the pseudoranges are not of this time, or not in metres",
+    "system_off": "--systems leaves these satellites out",
+    "low_elevation": "--mask is above the satellites",
+    "low_cn0": "cn0_min_dbhz is above the signals",
+    "no_pair": "second frequencies are missing: --combination single",
+    "epoch_unsolved": "too few satellites at a time, or measurements that contradict each other",
+}
+
+
+def unsolved_text(summary: Mapping[str, Any]) -> str:
+    """Why no epoch has a position and what may help, in a line; the summary is that of `starwise.report.summary`."""
+    refused = sorted(summary.get("rows_refused", {}).items(), key=lambda item: -item[1])
+    if not refused:
+        return "no epoch could be solved: there is nothing to solve in these files"
+    counts = ", ".join(f"{count} {name}" for name, count in refused[:2])
+    hint = _WHAT_TO_DO.get(refused[0][0])
+    return f"no epoch could be solved; rows: {counts}" + (f"; {hint}" if hint else "; the ledger says more")
