@@ -22,6 +22,7 @@ from starwise.analysis.lab.checks import Check
 from starwise.analysis.lab.checks_series import pooled_correlation, refusals, state_correlation
 from starwise.analysis.lab.findings import Cause, Finding
 from starwise.analysis.lab.innovations import UNITS
+from starwise.analysis.lab.moments import before_gate
 from starwise.analysis.lab.series import correlation_time, effective_share
 from starwise.types import F8
 
@@ -206,21 +207,10 @@ def expected_refusals(case: Case) -> float:
         n = float(case.stats.n[members].sum() + case.stats.refused[members].sum())
         ratio = float(case.stats.square[members].sum() / case.stats.square_mean[members].sum())
         limit = float(chdtri(1, probability))
-        # The gate cuts what it measures by: the size of all, out of that of the rows inside, by a few steps.
-        true = ratio
-        for _ in range(20):
-            true = ratio / max(_kept(limit / true), 0.05)
-        total += n * float(erfc(math.sqrt(0.5 * limit / true)))
+        total += n * float(erfc(math.sqrt(0.5 * limit / before_gate(ratio, probability))))
         ours += n * probability
     trials, _ = refusals(case.table)
     return total / max(ours, 1e-300) * trials * probability
-
-
-def _kept(limit: float) -> float:
-    """Mean square of a standard normal inside a gate, over that inside the gate as modelled."""
-    from scipy.special import chdtr
-
-    return float(chdtr(3, limit) / max(chdtr(1, limit), 1e-300))
 
 
 def delay_findings(case: Case) -> list[Finding]:

@@ -6,8 +6,10 @@ from typing import Final
 import numpy as np
 
 from starwise.analysis.lab.case import ALPHA, Case, num, off, scale_gain, times
+from starwise.analysis.lab.checks import Family
 from starwise.analysis.lab.checks_series import pooled_correlation
 from starwise.analysis.lab.findings import Cause, Finding
+from starwise.analysis.lab.moments import before_gate
 
 UNEVEN: Final = 1.3
 """Ratio between sizes of groups above which they are told apart."""
@@ -76,14 +78,14 @@ def _noise(case: Case, kind: str, members: list[int], ratio: float, p: float, ev
     ratios = {name: case.ratio(some) for name, some in groups.items()}
     wrong = {name: (r, n) for name, (r, n) in ratios.items() if off(r) and abs(math.log(r)) * math.sqrt(n / 2.0) > 4.0}
     if len(groups) > 1 and len(wrong) <= len(groups) // 2 and wrong:
-        return [_noise_finding(name, r, p, scale_gain(r, n)) for name, (r, n) in wrong.items()]
+        return [_noise_finding(case, name, r, p, scale_gain(r, n)) for name, (r, n) in wrong.items()]
     known = {name: r for name, (r, _) in ratios.items()}
     low, high = min(known, key=lambda k: known[k]), max(known, key=lambda k: known[k])
     if len(known) < 2 or known[high] < UNEVEN * known[low]:
-        return [_noise_finding(kind, ratio, p, evidence)]
+        return [_noise_finding(case, kind, ratio, p, evidence)]
     ends = [(name, known[name] if ratio > 1.0 else 1.0 / known[name]) for name in (low, high)]
     span = "".join(f", {num(size)} x with {name.removesuffix(kind).strip()}" for name, size in ends)
-    return [_noise_finding(kind, case.ratio(members)[0], p, evidence, span)]
+    return [_noise_finding(case, kind, case.ratio(members)[0], p, evidence, span)]
 
 
 def _groups(case: Case, kind: str, members: list[int]) -> dict[str, list[int]]:
@@ -95,7 +97,8 @@ def _groups(case: Case, kind: str, members: list[int]) -> dict[str, list[int]]:
     return made
 
 
-def _noise_finding(where: str, ratio: float, p: float, evidence: float, span: str = "") -> Finding:
+def _noise_finding(case: Case, where: str, seen: float, p: float, evidence: float, span: str = "") -> Finding:
+    ratio = before_gate(seen, case.table.gate_probability)
     words = f"R of {where} is {times(ratio)}{span} (variance)."
     factor = num(math.sqrt(ratio))
     cure = (
@@ -116,5 +119,16 @@ def _single(case: Case, kind: str, members: list[int]) -> list[Finding]:
         p = case.adjusted("size", check.p)
         if p < ALPHA:
             rows = float(case.stats.square_mean[list(check.group)].sum())
-            out.append(_noise_finding(check.what, check.statistic, p, scale_gain(check.statistic, rows)))
+            out.append(_noise_finding(case, check.what, check.statistic, p, scale_gain(check.statistic, rows)))
     return sorted(out, key=lambda f: -f.evidence)[:3]
+
+
+def epoch_findings(sizes: Family) -> list[Finding]:
+    """What the NIS of whole epochs says: too large or too small, and nothing of the cause."""
+    if sizes.p >= ALPHA:
+        return []
+    ratio = sizes.best.statistic
+    words = f"NIS of the epochs is {num(ratio)} per degree of freedom: what is claimed is {times(ratio)} (variance)."
+    cure = "R or Q: single innovations would tell which."
+    cause = Cause.R_TOO_SMALL if ratio > 1.0 else Cause.R_TOO_LARGE
+    return [Finding(cause, "epochs", ratio, "true / assumed variance", sizes.p, 0.0, off(ratio), words, cure)]

@@ -101,6 +101,15 @@ def size_tests(table: Innovations, stats: Series) -> Family:
     return family("size", tests)
 
 
+def epoch_tests(table: Innovations) -> Family:
+    """Sum of the NIS of all epochs against its degrees of freedom, where epochs are all that is known."""
+    known = np.isfinite(table.nis) & (table.dof > 0)
+    dof = float(table.dof[known].sum())
+    value = float(table.nis[known].sum())
+    p, _ = gamma_p(np.array(value), np.array(dof), np.array(2.0 * dof))
+    return family("size", [Check("size", "epochs", value / dof, float(p))])
+
+
 @dataclass(frozen=True)
 class Split:
     """Mean squares of a sensor split by how much of the claimed variance is noise and how much doubt about the states.

@@ -240,7 +240,7 @@ def state_correlation(table: Innovations, kind: str, states: bool) -> tuple[floa
     rows = np.flatnonzero(table.used & (table.kind == KINDS.index(kind)))
     weight = table.state_part[rows] if states else 1.0 - table.state_part[rows]
     weight = np.where(np.isfinite(weight), weight, 0.0 if states else 1.0)
-    z, channel, epoch = table.z[rows], table.channel[rows], table.epoch[rows]
+    z, channel, epoch = table.z[rows], table.channel[rows], table.slot[table.epoch[rows]]
     next_to = (channel[1:] == channel[:-1]) & (epoch[1:] == epoch[:-1] + 1)
     w = (weight[1:] * weight[:-1])[next_to]
     product, head, tail = (z[1:] * z[:-1])[next_to], (z[:-1] ** 2)[next_to], (z[1:] ** 2)[next_to]

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from starwise.analysis.lab import words
 from starwise.analysis.lab.case import ALPHA, Case
 from starwise.analysis.lab.causes import SAFE, find, ranked
-from starwise.analysis.lab.checks import Family, overall, size_tests, splits
+from starwise.analysis.lab.causes_size import epoch_findings
+from starwise.analysis.lab.checks import Family, epoch_tests, overall, size_tests, splits
 from starwise.analysis.lab.checks_series import (
     bias_tests,
     cross_tests,
@@ -348,6 +349,10 @@ def _judged(
             whiteness_tests(innovations, stats), tail_tests(innovations, stats), cross_tests(innovations, stats),
             delay_tests(innovations),
         ]  # fmt: skip
+    elif innovations is not None and len(innovations.nis):
+        families = [epoch_tests(innovations)]
+        found += epoch_findings(families[0])
+        missing.insert(0, "single innovations: the solution has the NIS of whole epochs only (whiteness, bias, causes)")
     elif innovations is not None:
         innovations = None
         missing.insert(0, "innovations: the ledger has none")

@@ -109,8 +109,25 @@ class Innovations:
 
     @cached_property
     def interval_s(self) -> float:
-        """Median step of the epochs, s; NaN with fewer than two."""
-        return float(np.median(np.diff(self.t_ns))) * 1e-9 if len(self.t_ns) > 1 else math.nan
+        """Most frequent step of the epochs, to a millisecond, s; NaN with fewer than two."""
+        if len(self.t_ns) < 2:
+            return math.nan
+        steps, counts = np.unique(np.rint(np.diff(self.t_ns) * 1e-6), return_counts=True)
+        return max(float(steps[np.argmax(counts)]), 1.0) * 1e-3
+
+    @cached_property
+    def slot(self) -> I8:
+        """Place of every instant on a grid of the usual step, (m,): lags are counted in it, across gaps.
+
+        Where instants are not on such a grid (or gaps are longer than all else) they are numbered as they come.
+        """
+        count = np.arange(len(self.t_ns), dtype=np.int64)
+        step = self.interval_s * 1e9
+        if len(count) < 3 or not step > 0.0:
+            return count
+        slot = np.rint((self.t_ns - self.t_ns[0]) / step).astype(np.int64)
+        regular = bool((np.diff(slot) > 0).all()) and slot[-1] < 20 * len(count)
+        return slot if regular else count
 
     @property
     def n(self) -> int:
@@ -235,10 +252,10 @@ def _velocity_at(epochs: I8, t_ns: ArrayLike | None, velocity: ArrayLike | None)
 
 
 def of_solution(solution: Solution) -> Innovations | None:
-    """Innovations in the ledger of a run; None where it has none (fused tracks, position files)."""
+    """Innovations in the ledger of a run; without rows where only epochs have a NIS; None where there is neither."""
     ledger = solution.ledger
     if "innovation_m" not in ledger:
-        return None
+        return _epochs_only(solution)
     config = solution.provenance.get("config", {})
     lsq = config.get("method") == "lsq"
     residuals = lsq and config.get("error_model") == "white"
@@ -282,6 +299,18 @@ def of_solution(solution: Solution) -> Innovations | None:
         nis=np.where(here, solution.nis[known], np.nan) if residuals else np.empty(0),
         dof=np.where(here, solution.dof[known], 0).astype(np.float64) if residuals else np.empty(0),
     )
+
+
+def _epochs_only(solution: Solution) -> Innovations | None:
+    """Epochs of an estimator that gives their NIS and no more (fixes in an inertial navigator)."""
+    if not (np.isfinite(solution.nis) & (solution.dof > 0)).any():
+        return None
+    nothing, none = np.empty(0), np.empty(0, dtype=np.int64)
+    return Innovations(
+        t_ns=solution.t_ns, channels=(), epoch=none, channel=none, v=nothing, s=nothing, used=np.empty(0, dtype=bool),
+        r=nothing, direction=np.empty((0, 3)), gate=np.empty(0, dtype=np.uint8), velocity=solution.vel_e,
+        residuals=True, nis=solution.nis, dof=solution.dof.astype(np.float64),
+    )  # fmt: skip
 
 
 NOTHING_KNOWN_M2: Final = 1e4

@@ -64,6 +64,20 @@ def kurtosis_moments(gate: int, probability: float) -> tuple[float, float]:
     return four, eight - 4.0 * four * six + 4.0 * four**3 - four**2
 
 
+def before_gate(ratio: float, probability: float) -> float:
+    """Mean square of all innovations, over its expectation, out of that of those inside the gate (one by itself)."""
+    if not 0.0 < probability < 1.0 or ratio <= 1.0:
+        return ratio
+    from scipy.special import chdtr, chdtri
+
+    limit = float(chdtri(1, probability))
+    modelled, true = truncated_moments(1, probability)[0], ratio
+    for _ in range(50):
+        kept = float(chdtr(3, limit / true)) / float(chdtr(1, limit / true))
+        true = min(ratio * modelled / max(kept, 0.05), 1e6)
+    return true
+
+
 def row_moments(gate: np.ndarray, probability: float) -> tuple[F8, F8]:
     """`truncated_moments` of every row, (n,) each."""
     two, four = np.array([truncated_moments(k, probability) for k in range(3)]).T

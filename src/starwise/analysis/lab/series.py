@@ -82,8 +82,9 @@ def series(table: Innovations) -> Series:
     weight = total(1.0 / s)
     centred = z - mean_z[at]
     m2, m3, m4 = (_ratio(total(centred**k), count) for k in (2, 3, 4))
-    lags = lags_for(len(table.t_ns))
-    rho, pairs = _autocorrelations(at, table.epoch[use], centred, c, len(table.t_ns), lags)
+    slots = int(table.slot[-1]) + 1 if len(table.t_ns) else 0
+    lags = lags_for(slots)
+    rho, pairs = _autocorrelations(at, table.slot[table.epoch[use]], centred, c, slots, lags)
     magnitude = np.abs(z)
     return Series(
         n=n,

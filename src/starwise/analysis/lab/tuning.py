@@ -148,6 +148,7 @@ def parameters_of(config: RunConfig, interval_s: float) -> list[Parameter]:
             group("multipath", ("multipath_m",), 1.5),
             group("orbits and clocks", SLOW, 1.5),
             group("ionosphere", IONOSPHERE, 1.5),
+            group("troposphere and slope", ("troposphere_m", "slope_m"), 1.5),
             group("signal biases", ("signal_bias_m", "signal_bias_glonass_m"), 1.5),
         ]
         if interval_s < 0.5 * errors.multipath_tau_s:  # else it has no states
