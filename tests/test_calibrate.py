@@ -48,6 +48,7 @@ def test_a_set_is_judged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         (SET.replace("demo_MO", "none"), "cannot be read"),
         (SET.replace("truth =", "#"), "'set[1].truth' is missing"),
         (SET.replace("demo_truth", "none"), "no such truth"),
+        (SET.replace((DATA / "demo_truth.csv").as_posix(), "0.0,0.0,6356752.0"), "the truth is not where"),
         (SET.replace('["vehicle"]', "[]"), "'set[1].dynamics' of set 'demo' is empty"),
         (SET.replace('["vehicle"]', '"vehicle"'), "'set[1].dynamics' is a list; found 'vehicle'; wanted ['vehicle']?"),
     ],

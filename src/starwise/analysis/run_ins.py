@@ -111,6 +111,11 @@ class InertialSystem:
         """Epochs at which something aided."""
         return np.flatnonzero((self.solution.status == EPOCH_OK) & self.solution.has_position)
 
+    @property
+    def systems(self) -> str:
+        """Letters of the systems of which satellites were used (tight)."""
+        return "" if self.table is None else "".join(self.table.clock_names)
+
     def longest_stretch(self) -> tuple[int, int]:
         """First aided epoch and the number of epochs from there on."""
         if not len(self.measured):

@@ -100,6 +100,11 @@ class RunSystem:
         return self.changed(first, count)
 
     @property
+    def systems(self) -> str:
+        """Letters of the systems of which satellites were used."""
+        return "".join(SYSTEMS[k] for k in np.unique(self.table.sv[self.table.used[:, 0]] >> 8))
+
+    @property
     def moving(self) -> bool:
         """The filter expects motion."""
         return self.motion.nk > 3
@@ -113,7 +118,7 @@ class RunSystem:
         rows = rows[table.used[rows].any(axis=1) & (table.clock[rows] >= 0) & ~np.isin(table.sv[rows] >> 8, off)]
         use = table.used[rows].copy()
         if rates is not None:
-            use[:, RATE] = use[:, CODE] & np.isfinite(table.white[rows, RATE]) & rates
+            use[:, RATE] = rates & (use[:, RATE] | (use[:, CODE] & np.isfinite(table.white[rows, RATE])))
         return self.build(first, last, rows, use)
 
     def build(self, first: int, last: int, rows: NDArray[np.intp], use: NDArray[np.bool_]) -> RunWindow:

@@ -217,6 +217,8 @@ class _Trial:
         name = " + ".join(c.text for c in changes) or "as it was"
         system, notes = self.system, []
         for c in changes:
+            if c.kind == "constellation" and not c.add and c.system not in system.systems:
+                raise StarwiseError(f"what-if: the run used no satellite of {c.system} to take away")
             if c.kind == "constellation" and c.add:
                 system, note = self._with_constellation(system, c.system)
                 notes.append(note)
