@@ -71,10 +71,10 @@ def compare(
 _COLUMNS = (
     ("epochs_solved", "solved", 7, 0),
     ("epochs_flagged", "flagged", 8, 0),
-    ("rms_2d_m", "RMS 2D", 8, 3),
-    ("rms_3d_m", "RMS 3D", 8, 3),
-    ("p95_3d_m", "95% 3D", 8, 3),
-    ("sigma_3d_mean_m", "claimed", 8, 3),
+    ("rms_2d_m", "RMS 2D", 9, 3),
+    ("rms_3d_m", "RMS 3D", 9, 3),
+    ("p95_3d_m", "95% 3D", 9, 3),
+    ("sigma_3d_mean_m", "claimed", 9, 3),
     ("coverage_95", "in 95%", 7, 2),
 )
 
