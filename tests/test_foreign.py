@@ -456,6 +456,7 @@ def test_assess_kf_gins_against_a_truth_with_weeks(tmp_path: Path) -> None:
     notes = starwise.assess(nav, str(dated))["notes"]
     assert any("week" in note for note in notes)
     assert any("inertial unit" in note for note in notes)
+    assert "January 1980" in starwise.export(nav, output=tmp_path / "x.geojson").notes[0]
     assert starwise.assess(nav, str(dated))["coverage_50"] == 1.0  # 2 m up of 3 m sigma
 
 

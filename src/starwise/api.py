@@ -299,7 +299,8 @@ def assess(
     if not vertical and truth is not None:
         notes.append("heights are above the geoid: nothing vertical is compared (give --geoid)")
     if solution.provenance.get("week") == "not in the file":
-        notes.append("the week is not in the file: that of the truth is taken")
+        known = truth is not None and truth.t_ns is not None
+        notes.append("the week is not in the file" + (": that of the truth is taken" if known else ""))
     if "point" in solution.provenance:
         notes.append(f"positions are of the {solution.provenance['point']}, not of the antenna")
     if "covariance" in solution.provenance:

@@ -205,8 +205,10 @@ def render(solutions: Sequence[tuple[str, Solution]], to: str, choice: Choice) -
     epochs = sum(solution.n_epochs for _, solution in kept)
     if not epochs:
         raise StarwiseError("no epoch to write", found=", ".join(name for name, _ in kept), wanted="positions")
-    pairs = zip(kept, choices, strict=True)
-    notes = list(dict.fromkeys(note for (_, one), chosen in pairs for note in _height_notes(one, to, chosen)))
+    said = [*(_height_notes(one, to, chosen) for (_, one), chosen in zip(kept, choices, strict=True))]
+    if any(one.provenance.get("week") == "not in the file" for _, one in kept):
+        said.append(["the input has no GPS week: times are of the first one, January 1980"])
+    notes = list(dict.fromkeys(itertools.chain.from_iterable(said)))
     if to in ("csv", "pos"):
         from starwise.io.maps_text import csv_table
         from starwise.io.pos import write_pos

@@ -173,7 +173,7 @@ def _solution(path: Path, what: str) -> Described:
     from starwise.report.summary import summarise
 
     solution: Solution = read_solution(path)
-    said = ("format", "coordinates", "time", "height", "covariance", "checksums", "quality")
+    said = ("format", "coordinates", "time", "height", "covariance", "week", "checksums", "quality")
     form: Described = {key: solution.provenance[key] for key in said if key in solution.provenance}
     config = solution.provenance.get("config", {})
     return {"kind": "solution", "what": what, **form, "method": config.get("method"), **summarise(solution)}
