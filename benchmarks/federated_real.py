@@ -1,36 +1,24 @@
 """The federated filter on real measurements at known points: accuracy, honesty, faults put into them, speed.
 
 python benchmarks/federated_real.py [--dynamics static] [--only NAME] [--all] [--doppler] [--json]
-python benchmarks/federated_real.py --pooled [--dynamics static] [--json]
-python benchmarks/federated_real.py --tied [--dynamics static] [--only NAME] [--json]
-python benchmarks/federated_real.py --threads [--only NAME]
 
 Per set: the federated filter beside the centralised EKF with the same error model; then a fault from the middle of the
 set on: 50 m/min on the codes of one satellite (every satellite with --all, else three of each constellation), the same
 on all satellites of a constellation, a jump of 1 us of one constellation's clock. "blind" is the centralised filter
 without gate and robust weights. With --doppler the ramps are in the Doppler, too. Last: time per epoch, and threads.
-
---pooled: sessions of two hours of all sets with more than one constellation, both filters started anew in each: the
-error of a receiver at rest is one slowly moving number, so that a set is one draw and only many tell accuracy and
-honesty. --tied: the faults of whole constellations once more, in the centralised filter, whose clocks are one
-oscillator with slowly varying biases (``clock.isolate``), and what it names without faults. --threads: the local
-filters alone on 1, 2 and 4 threads, and how long a thread of Python beside them waits.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import threading
 import time
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-import starwise
 from datasets import DATA, STATIC, truth_ecef
-from starwise.analysis.pool import Run, pool
 from starwise.config import RunConfig
 from starwise.constants import C_LIGHT, NS, ROW_USED
 from starwise.estimators import filter as filter_module
@@ -39,16 +27,14 @@ from starwise.estimators.federated_local import make_locals, run_locals
 from starwise.estimators.federated_run import run_federated, shares_of
 from starwise.estimators.filter import filter_options, run_filter
 from starwise.estimators.tied_clocks import tied_events
-from starwise.gnsstime import session_numbers
 from starwise.io.rinex_nav import read_nav
 from starwise.io.rinex_obs import read_obs
 from starwise.kernels.spp import EpochOut
 from starwise.models.pseudorange import Prepared, prepare
 from starwise.physics.broadcast import BroadcastEphemeris
 from starwise.signals import frequency_table, sv_name
-from starwise.types import Observations, Truth
+from starwise.types import Observations
 
-SESSION_S = 7200.0
 SETS = ("kiru_2024 2 h", "tlse_2024 1 h", "tlse_2024 15 min", "nagoya rover", "nagoya base")
 RAMP_MPS = 50.0 / 60.0
 JUMP_M = 1e-6 * C_LIGHT
@@ -222,61 +208,6 @@ def accuracy(case: Case) -> dict[str, Any]:
     return row
 
 
-def pooled(dynamics: str) -> dict[str, Any]:
-    """Both filters over sessions of all sets: RMS, coverage, NEES, and the ratio of RMS session by session."""
-    runs: dict[str, list[Run]] = {"s3ekf": [], "federated": []}
-    squares: dict[str, list[float]] = {name: [] for name in runs}
-    for data in STATIC:
-        if len(data.systems) < 2:
-            continue
-        point = truth_ecef(data.truth or "")
-        files = [DATA / data.obs, *(DATA / nav for nav in data.nav)]
-        for name in runs:
-            done = starwise.solve(
-                *files, systems="GREC", dynamics=dynamics, method=name, session_s=SESSION_S
-            )  # fmt: skip
-            runs[name].append(Run(data.name, done, Truth(point, source=data.name)))
-            error2 = np.sum((done.pos_e - point) ** 2, axis=1)
-            session = session_numbers(done.t_ns, SESSION_S)
-            squares[name] += [float(np.nanmean(error2[session == i])) for i in np.unique(session)]
-    ratios = np.sqrt(np.array(squares["federated"]) / np.array(squares["s3ekf"]))
-    keys = ("sessions", "rms_3d_m", "coverage_50", "coverage_68", "coverage_95", "nees_mean", "sigma_3d_mean_m")
-    totals = {name: pool(of) for name, of in runs.items()}
-    return {
-        **{name: {key: total[key] for key in keys} for name, total in totals.items()},
-        "ratio": totals["federated"]["rms_3d_m"] / totals["s3ekf"]["rms_3d_m"],
-        "ratio_by_session": {str(q): float(np.quantile(ratios, q / 100.0)) for q in (5, 50, 95)},
-    }
-
-
-def longest_wait(case: Case) -> tuple[float, float]:
-    """Longest time, s, for which a thread that counts stands still: alone, and beside the local filters."""
-    waits = []
-    prepared = case.prepared()
-    shares = shares_of(prepared, case.config)
-    for busy in (False, True):
-        gaps, stop = [0.0], threading.Event()
-
-        def count(gaps: list[float] = gaps, stop: threading.Event = stop) -> None:
-            last = time.perf_counter()
-            while not stop.is_set():
-                now = time.perf_counter()
-                gaps[0] = max(gaps[0], now - last)
-                last = now
-
-        made = make_locals(prepared, case.config, shares)
-        counter = threading.Thread(target=count)
-        counter.start()
-        if busy:
-            made[0].run()
-        else:
-            time.sleep(0.2)
-        stop.set()
-        counter.join()
-        waits.append(gaps[0])
-    return waits[0], waits[1]
-
-
 def threads(case: Case) -> dict[int, float]:
     """Seconds of the local filters alone by number of threads, best of five."""
     prepared = case.prepared()
@@ -302,43 +233,8 @@ def show_common(rows: list[dict[str, Any]]) -> None:
         )
 
 
-def show_tied(dynamics: str, only: str, as_json: bool) -> None:
-    """Faults of whole constellations under tied clocks; then runs of every set without a fault."""
-    options: dict[str, Any] = {"method": "s3ekf", "dynamics": dynamics, "clock": {"isolate": True}}
-    rows = [row for name in SETS if only in name for row in common(load(name, **options))]
-    quiet = {}
-    for data in STATIC:
-        if len(data.systems) < 2 or only not in data.name:
-            continue
-        case = load(data.name, **options)
-        quiet[data.name] = [event.record() for event in estimate(case.prepared(), case.config)[1]]
-    if as_json:
-        print(json.dumps({"common": rows, "fault_free": quiet}, indent=1))
-        return
-    show_common(rows)
-    for name, events in quiet.items():
-        print(
-            f"{name:<18} without a fault: {len(events)} named {[e['satellite'] or e['constellation'] for e in events]}"
-        )
-
-
 def show_threads(name: str, times: dict[int, float]) -> None:
     print(f"{name}: local filters on " + ", ".join(f"{n} threads {s:.3f} s" for n, s in times.items()))
-
-
-def show_pooled(found: dict[str, Any], as_json: bool) -> None:
-    if as_json:
-        print(json.dumps(found, indent=1))
-        return
-    for name in ("s3ekf", "federated"):
-        r = found[name]
-        curve = ", ".join(f"{100 * r[f'coverage_{k}']:.1f}" for k in (50, 68, 95))
-        print(
-            f"{name:<10}{r['sessions']:>4} sessions, RMS {r['rms_3d_m']:.2f} m, claimed {r['sigma_3d_mean_m']:.2f} m; "
-            f"inside the 50, 68, 95 % ellipsoid {curve} %; NEES {r['nees_mean']:.2f}"
-        )
-    by = found["ratio_by_session"]
-    print(f"ratio {found['ratio']:.3f}; by session, 5 %, median, 95 %: {by['5']:.2f}, {by['50']:.2f}, {by['95']:.2f}")
 
 
 def main() -> None:
@@ -347,23 +243,8 @@ def main() -> None:
     parser.add_argument("--only", default="")
     parser.add_argument("--all", action="store_true", help="a ramp on every satellite")
     parser.add_argument("--doppler", action="store_true")
-    parser.add_argument("--pooled", action="store_true", help="sessions of all sets in place of the five")
-    parser.add_argument("--tied", action="store_true", help="one filter with tied clocks in place of the federated one")
-    parser.add_argument("--threads", action="store_true", help="the scaling over threads alone")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    if args.pooled:
-        show_pooled(pooled(args.dynamics), args.json)
-        return
-    if args.threads:
-        for case in (load(name) for name in SETS if args.only in name):
-            show_threads(case.name, threads(case))
-            alone, beside = longest_wait(case)
-            print(f"  a thread beside: stands still for {1e3 * alone:.0f} ms alone, {1e3 * beside:.0f} ms at most")
-        return
-    if args.tied:
-        show_tied(args.dynamics, args.only, args.json)
-        return
     cases = [load(name, dynamics=args.dynamics) for name in SETS if args.only in name]
     found = {
         "accuracy": [accuracy(case) for case in cases],
