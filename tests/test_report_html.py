@@ -17,6 +17,7 @@ from starwise.constants import NS, ROW_GATED, ROW_LOW_ELEVATION, ROW_NOT_SELECTE
 from starwise.errors import StarwiseError
 from starwise.io.results import read_solution, write_results
 from starwise.report.html import Compared, compare_page, run_page, study_page, write_page, write_report, write_study
+from starwise.report.html.diagnosis import lab_payload, paragraphs
 from starwise.report.html.encode import packed, safe_json, thinned
 from starwise.report.html.epochs import MAX_EPOCHS, localised, shown_epochs
 from starwise.report.html.satellites import MAX_CELLS, autocorrelation_payload, cells_of, satellites_payload
@@ -266,6 +267,30 @@ def test_trust_is_told_by_what_is_unsafe() -> None:
     )
     assert level("Observability", found={"observability": {"verdict": "observable"}}) == "good"
     assert level("Stability", found={"stability": {"verdict": "unstable"}}) == "bad"
+
+
+def test_text_broken_for_a_terminal_is_whole_again() -> None:
+    text = (
+        "Verdict: all\n  well.\ncode: 3\n  innovations.\nweakly seen up to\n35 m.\n1. First, at\n   length.\n2. Second."
+    )
+    assert paragraphs(text) == [
+        "Verdict: all well.", "code: 3 innovations.", "weakly seen up to 35 m.", "1. First, at length.", "2. Second.",
+    ]  # fmt: skip
+    assert paragraphs("") == []
+
+
+def test_series_of_an_assessment_are_drawn_where_they_are_whole() -> None:
+    found = {
+        "observability": {
+            "states": {"pos.e": {"degree": 0.9, "sigma": 1.0, "sigma_free": 10.0}, "clk.G": {"degree": None}},
+            "epochs": {"epoch": [0, 1], "sigma_m": [1.0]},
+        },
+        "stability": {"product_norm": [1.0, None, 0.1], "seconds": 2.0},
+    }
+    drawn = lab_payload(found)
+    assert drawn["degree"]["names"] == ["pos.e"]
+    assert set(drawn) == {"degree", "product"}  # epochs and sigmas of different number are not
+    assert lab_payload(None) == lab_payload({"observability": [], "stability": "no"}) == {}
 
 
 def test_report_of_a_directory_and_of_a_position_file(tmp_path: Path) -> None:

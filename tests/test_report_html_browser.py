@@ -311,7 +311,15 @@ def test_markup_in_a_marker_is_text(browser: Any, tmp_path: Path) -> None:
         "inputs": [{"kind": "x", "path": evil, "bytes": 1, "sha256": "0"}],
     }  # fmt: skip
     solution = replace(base, provenance=provenance)
-    write_results(solution, tmp_path, lambda: run_page(solution, Truth(HERE, source=evil)))
+    found = {
+        "consistency": {"verdict": evil, "explanation": evil},
+        "observability": {
+            "states": {evil: {"degree": 0.9, "sigma": 1.0, "sigma_free": 9.0}},
+            "epochs": {"epoch": [0, 20, 39], "sigma_m": [1.0, 30.0, 2.0]},
+        },
+        "stability": {"product_norm": [1.0, 0.5, 0.1], "seconds": 39.0},
+    }
+    write_results(solution, tmp_path, lambda: run_page(solution, Truth(HERE, source=evil), found))
     stats = assess(solution, Truth(HERE))
     compare = write_page(
         compare_page([Compared(evil, solution, stats), Compared("b", base, stats)]), tmp_path / "c.html"
@@ -320,4 +328,7 @@ def test_markup_in_a_marker_is_text(browser: Any, tmp_path: Path) -> None:
         page = opened(browser, file)
         assert page.tab.evaluate("window.hacked === undefined")
         assert evil in page.tab.locator("body").inner_text()
+        panels = {panel: marks for panel, _, marks in page.tab.evaluate(DRAWN)}
+        assert all(panels.values()), panels
+        assert file == compare or {"obs-degree", "obs-sigma", "stab-product"} <= set(panels)
         close(page)

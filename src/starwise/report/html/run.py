@@ -52,6 +52,7 @@ def run_page(
         "truth": None,
         "nis": nis,
         "rho": rho,
+        "counted": "fixes" if solution.provenance.get("command") == "fuse" else "satellites",
         "word": "residual" if lsq else "innovation",
         "reasons": words.REASONS,
         "kinds": words.KINDS,

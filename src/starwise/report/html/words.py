@@ -84,11 +84,11 @@ def name_of(provenance: Mapping[str, Any]) -> str:
     marker = (provenance.get("station") or {}).get("marker")
     if marker:
         return str(marker)
-    for item in provenance.get("inputs", ()):
-        path = item.get("path") or item.get("file")
-        if path:
-            return PurePath(str(path)).name
-    return "Solution"
+    paths = [item.get("path") or item.get("file") for item in provenance.get("inputs", ())]
+    names = [PurePath(str(path)).name for path in paths if path]
+    if provenance.get("command") == "fuse":
+        return " + ".join(names)
+    return names[0] if names else "Solution"
 
 
 def listing(words: list[str]) -> str:
@@ -121,7 +121,7 @@ def lead(solution: Solution, stats: Mapping[str, Any] | None) -> list[str]:
     count = sum(item.get("satellites_used", 0) for item in systems.values())
     text = f"{_count(int(solved.sum()), solution.n_epochs)} epochs over {duration(seconds)} have a position"
     text += f", from {count} satellites of {listing(used)}" if used else ""
-    out = [text + f". Estimator: {method_of(p)}."]
+    out = [text + "."] + ([f"Estimator: {method_of(p)}."] if p.get("config") else [])
     dynamics = p.get("dynamics")
     if isinstance(dynamics, Mapping) and dynamics.get("used"):
         how = f"found: {dynamics.get('reason')}" if dynamics.get("detected") else "as given"

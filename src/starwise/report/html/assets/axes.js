@@ -205,7 +205,7 @@ function hideTip() { tip.classList.remove("on"); }
 function epochLines(i) {
   const flag = E.statuses[E.status[i]];
   const out = [clock(times[i], false) + (flag === "ok" ? "" : `  ${flag}`)];
-  if (!S) { if (E.n_used[i]) out.push(`${E.n_used[i]} satellites ${USED}`); return out; }
+  if (!S) { if (E.n_used[i]) out.push(`${E.n_used[i]} ${COUNTED} ${USED}`); return out; }
   const ledger = ledgerAt(E.index[i]);
   out.push(`${ledger.used.length} of ${ledger.n} satellites ${USED}`);
   const names = Object.keys(ledger.refused).sort((a, b) => (kindOf(a) === "test" ? -1 : 0) - (kindOf(b) === "test" ? -1 : 0));

@@ -85,6 +85,7 @@ const azimuth = (k) => S.az[k] / 100;
 const elevation = (k) => (S.el[k] <= -32768 ? NaN : S.el[k] / 100);
 const vn = (k) => (S.vn[k] <= -32768 ? NaN : S.vn[k] / 100);
 const statusName = (k) => S.statuses[S.status[k]];
+const COUNTED = D.counted || "satellites";
 const USED = D.kind === "simulation" ? "in view" : "used";
 const kindOf = (name) => D.kinds[name] || "other";
 const reason = (name) => D.reasons[name] || name;

@@ -56,7 +56,7 @@ function updateInspector() {
   if (E.extra.yaw_deg) value(list, "roll pitch yaw", trio(["roll_deg", "pitch_deg", "yaw_deg"].map((n) => E.extra[n]), i, 2));
   if (E.dop) value(list, "PDOP", num(E.dop[1][i]));
   if (E.nis && E.dof[i]) value(list, "NIS / dof", `${num(E.nis[i] / E.dof[i])} (${E.dof[i]})`);
-  if (!S) { if (E.n_used[i]) value(list, "satellites", String(E.n_used[i])); return; }
+  if (!S) { if (E.n_used[i]) value(list, COUNTED, String(E.n_used[i])); return; }
   const ledger = ledgerAt(full);
   value(list, "satellites", `${ledger.used.length} ${USED} of ${ledger.n}`);
   for (let s = 0; s < chips.length; s++) {

@@ -153,7 +153,7 @@ const claimedSpec = () => strips(() => [{ title: "1σ", unit: "m", range: [0, ro
 function geometrySpec() {
   const n = D.has_count === false ? 0 : 1;
   return strips(() => {
-    const rows = [{ title: "satellites " + USED, unit: "", digits: 2, rangemode: "tozero", range: [0, Math.max(4, ...E.n_used) * 1.12],
+    const rows = [{ title: `${COUNTED} ${USED}`, unit: "", digits: 2, rangemode: "tozero", range: [0, Math.max(4, ...E.n_used) * 1.12],
       series: [{ name: "used", y: Float64Array.from(E.n_used), colour: colour.accent(), shape: "hv" }] }];
     if (E.dop) {
       const log = robust(E.dop, 0, 0.995)[1] > 12;
