@@ -84,6 +84,7 @@ def test_a_batch_of_a_million_takes_units_as_it_needs_them(tmp_path):
         run_batch(Manifest(units, 1_000_000), tmp_path, workers=1, progress=progress, do=done)
     assert len(taken) <= 100 + AHEAD
     assert read_summary(tmp_path).height == 100  # what there is was written
+    assert not json.loads((tmp_path / "batch.json").read_text())["complete"]
 
 
 # Lists of units

@@ -145,6 +145,8 @@ def test_an_object_store_in_and_out(tmp_path, cluster, store):
     assert not again["resumed"].any()
     assert store.exists("bucket/out/unit=mask-01/ledger.parquet")
     assert read_summary("s3://bucket/out").height == 1
+    with pytest.raises(StarwiseError, match="s3://no-such-bucket/out: cannot be written"):
+        run_batch(of(there[0]), "s3://no-such-bucket/out", workers=1)  # before anything is solved
 
 
 def test_nothing_piles_up_in_the_scheduler(cluster):

@@ -202,8 +202,10 @@ def without_ledgers(manifest: Manifest) -> Manifest:
 def _truths(path: Path) -> dict[str, tuple[str, float]]:
     try:
         rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
-    except (OSError, UnicodeDecodeError) as error:
-        raise StarwiseError(f"cannot be read ({error})", file=path) from None
+    except OSError as error:
+        raise StarwiseError(f"cannot be read ({error.strerror})", file=path) from None
+    except (UnicodeDecodeError, csv.Error):
+        raise StarwiseError("not a table of text", file=path, wanted="CSV in UTF-8") from None
     found: dict[str, tuple[str, float]] = {}
     for line, row in enumerate(rows, 2):
         cells = {

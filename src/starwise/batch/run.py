@@ -71,6 +71,7 @@ def run_batch(
     rows, count = Rows(), _Count(manifest.total)
     with _claimed(place) as token:
         say(count.text(), 0.0)
+        complete = False
         done = spread(do, _works(manifest, place, token), lost=failed, workers=workers, scheduler=scheduler)
         try:
             for work, result in done:
@@ -78,12 +79,13 @@ def run_batch(
                 rows.add(result.row)
                 count.add(result.row)
                 say(count.text(), count.fraction)
+            complete = True
         finally:
             # also what there is when it is interrupted; the rest is in the units' own folders
             for number, (path, reason) in enumerate(manifest.unpaired, manifest.total or count.done):
                 rows.add({"number": number, "unit": path, "status": UNPAIRED, "message": reason, "resumed": False})
             table = rows.table()
-            _write(table, place, time.perf_counter() - began, workers, scheduler)
+            _write(table, place, time.perf_counter() - began, workers, scheduler, complete)
     say("done", 1.0)
     return table
 
@@ -114,7 +116,7 @@ def _keep(work: Work, result: Done) -> None:
 def _claimed(place: str) -> Iterator[str | None]:
     """The output for this batch alone; yields a file there by which workers see that they share the folder."""
     if store.is_url(place):
-        store.filesystem(place)
+        store.put_files({BATCH: _json({"starwise": __version__, "complete": False})}, place)  # before the work is done
         yield None
         return
     folder = Path(place)
@@ -147,13 +149,16 @@ def _locked(number: int) -> bool:
     return True
 
 
-def _write(table: "pl.DataFrame", place: str, seconds: float, workers: int | None, scheduler: str | None) -> None:
+def _write(
+    table: "pl.DataFrame", place: str, seconds: float, workers: int | None, scheduler: str | None, complete: bool
+) -> None:
     from io import BytesIO
 
     content = BytesIO()
     table.write_parquet(content)
     record = {
         "starwise": __version__,
+        "complete": complete,
         "units": {str(name): int(n) for name, n in table["status"].value_counts(sort=True).iter_rows()},
         "resumed": int(table["resumed"].sum()),
         "workers": workers,
@@ -162,8 +167,11 @@ def _write(table: "pl.DataFrame", place: str, seconds: float, workers: int | Non
         "unit_s": round(float(table["seconds"].sum()), 3),
         "solutions": "unit=*/solution.parquet",
     }
-    files = {SUMMARY: content.getvalue(), BATCH: (json.dumps(record, indent=1) + "\n").encode()}
-    store.put_files(files, place)
+    store.put_files({SUMMARY: content.getvalue(), BATCH: _json(record)}, place)
+
+
+def _json(record: dict[str, Any]) -> bytes:
+    return (json.dumps(record, indent=1) + "\n").encode()
 
 
 class _Count:
