@@ -287,9 +287,7 @@ def epoch_geometry(system: AnySystem, tolerance: float = TOLERANCE) -> EpochGeom
     if not len(rows):
         return None
     nc = len(table.clock_names)
-    k = np.arange(table.val.shape[2])
-    inside = (k >= 4) & (k < table.count[rows, 0][:, None])
-    r = table.white[rows, 0] + (np.where(inside, table.val[rows, 0], 0.0) ** 2).sum(axis=1)
+    r = table.white[rows, 0] + table.lasting[rows, 0]
     H = np.zeros((len(rows), 3 + nc))
     H[:, :3] = -table.direction[rows]
     H[np.arange(len(rows)), 3 + table.clock[rows]] = 1.0

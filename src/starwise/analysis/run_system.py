@@ -134,6 +134,7 @@ class RunSystem:
         slot[satellites] = np.arange(len(satellites))
         n_e = N_SKY + errors.n_bias + errors.block * len(satellites) if errors.on else 0
         phis = self._memory(first, last, len(satellites))
+        states = table.states_of(rows) if n_e else None
         epoch = table.epoch[rows]
         cut = np.searchsorted(epoch, np.arange(first, last + 1))
         T = self._differences(len(letters))
@@ -145,8 +146,11 @@ class RunSystem:
                 Phi, Q = matrices(self.motion, self.clocks, len(letters), dt, UP)
                 made[dt] = Phi, T @ Q @ T.T  # Phi is the same for differences
             part = slice(cut[k], cut[k + 1])
+            own = None if states is None else tuple(a[part] for a in states)
             steps.append(
-                self._step(e, rows[part], use[part], column, slot, len(letters), n_e, made[dt], phis[k], len(names))
+                self._step(
+                    e, rows[part], use[part], column, slot, len(letters), n_e, made[dt], phis[k], len(names), own
+                )
             )
         error_states = error_names(errors, table.bias_names, satellites.tolist()) if errors.on else ()
         return RunWindow(names, error_states, self.prior(len(letters)), tuple(steps), first)
@@ -181,7 +185,7 @@ class RunSystem:
 
     def _step(
         self, e: int, rows: NDArray[np.intp], use: NDArray[np.bool_], column: I8, slot: I8, nc: int, n_e: int,
-        motion: tuple[F8, F8], phi: F8, n: int,
+        motion: tuple[F8, F8], phi: F8, n: int, states: tuple[NDArray[Any], ...] | None,
     ) -> RunStep:  # fmt: skip
         table, nk = self.table, self.motion.nk
         which, kind = np.nonzero(use)
@@ -199,10 +203,10 @@ class RunSystem:
         H[line[~rate], :3] = -table.direction[at[~rate]]
         if nk > 3:
             H[line[rate], 3:6] = -table.direction[at[rate]]
-        if n_e:
+        if states is not None:
             code = line[~rate]
             where, b = at[code], kind[code]
-            count, idx, val = table.count[where, b], table.idx[where, b], table.val[where, b]
+            idx, val, count = (a[which[code], b] for a in states)
             common = N_SKY + table.errors.n_bias
             shift = np.where(idx >= common, slot[table.sv[where]][:, None] * table.errors.block, 0)
             k = np.arange(idx.shape[1])

@@ -12,7 +12,7 @@ from starwise.constants import EPOCH_NO_SOLUTION, EPOCH_RESET, ROW_USED, SYS_R, 
 from starwise.errors import StarwiseError
 from starwise.kernels.colored import K_MAX
 from starwise.kernels.error_states import SHELL_RATIO, ErrorModel, ErrorRows
-from starwise.kernels.rangemodel import F_L1, Epochs, Rows
+from starwise.kernels.rangemodel import F_L1, Epochs, RowModel, Rows
 from starwise.models.error_model import code_biases, error_model, no_errors, second_signals, slow_sigma
 from starwise.models.pseudorange import EPHEMERIS_SIGMA_M, empty_row_model, model_options
 from starwise.signals import DEFAULT_PREFERENCE, DEFAULT_SECOND, frequency_table, signal_id
@@ -51,8 +51,8 @@ class RunTable:
         Variances of white noise of the three, m^2 and m^2/s^2.
     extra : (n, 3) float64
         Variance by which the filter's robust weights widened each.
-    idx, val, count : (n, 2, K_MAX), (n, 2, K_MAX), (n, 2)
-        Error states of the codes, see `starwise.kernels.run_terms.run_terms`.
+    lasting : (n, 2) float64
+        Prior variance of the lasting errors of both codes, m^2.
     scale : (m,) float64
         Factor on the variance of code noise and multipath.
     errors : ErrorModel
@@ -70,13 +70,21 @@ class RunTable:
     used: Mask
     white: F8
     extra: F8
-    idx: I8
-    val: F8
-    count: I8
+    lasting: F8
     scale: F8
     errors: ErrorModel
     bias_names: tuple[str, ...]
     clock_names: tuple[str, ...]
+    source: tuple[Rows, ErrorRows, RowModel]
+
+    def states_of(self, rows: I8) -> tuple[I8, F8, I8]:
+        """Error states of the codes of some rows, see `starwise.kernels.run_terms.row_states`; errors must last."""
+        from starwise.kernels.run_terms import row_states
+
+        k = len(rows)
+        idx, val, count = np.zeros((k, 2, K_MAX), np.int64), np.zeros((k, 2, K_MAX)), np.zeros((k, 2), np.int64)
+        row_states(self.errors, *self.source, rows.astype(np.int64), self.scale[self.epoch[rows]], idx, val, count)
+        return idx, val, count
 
     @cached_property
     def epoch(self) -> I8:
@@ -138,11 +146,10 @@ def run_table(solution: Solution, config: RunConfig, precise: bool = False) -> R
     errors, extra, bias_names = _errors(solution, config, sv, sig, sig2, second, rows, dual)
     fresh = starts(solution, config)
     n, m = len(at), len(solution.t_ns)
-    idx, val, count = np.zeros((n, 2, K_MAX), np.int64), np.zeros((n, 2, K_MAX)), np.zeros((n, 2), np.int64)
-    white, rate, scale = np.full((n, 2), np.nan), np.full(n, np.nan), np.ones(m)
+    lasting, white, rate, scale = np.zeros((n, 2)), np.full((n, 2), np.nan), np.full(n, np.nan), np.ones(m)
     run_terms(
         options, errors, Epochs(solution.t_ns, offsets), rows, extra, out, fresh.astype(np.uint8),
-        _speed2(solution), idx, val, count, white, rate, scale,
+        _speed2(solution), lasting, white, rate, scale,
     )  # fmt: skip
     status = ledger["status"]
     used = np.zeros((n, 3), dtype=bool)
@@ -160,8 +167,8 @@ def run_table(solution: Solution, config: RunConfig, precise: bool = False) -> R
         t_ns=solution.t_ns, offsets=offsets, fresh=fresh, sv=sv, clock=lookup[system],
         direction=np.stack([np.cos(el) * np.sin(az), np.cos(el) * np.cos(az), np.sin(el)], axis=1),
         usable=el >= options.mask_rad,
-        used=used, white=np.column_stack([white, rate]), extra=stretched, idx=idx, val=val, count=count, scale=scale,
-        errors=errors, bias_names=bias_names, clock_names=solution.clock_names,
+        used=used, white=np.column_stack([white, rate]), extra=stretched, lasting=lasting, scale=scale,
+        errors=errors, bias_names=bias_names, clock_names=solution.clock_names, source=(rows, extra, out),
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starwise.kernels._jit import njit
-from starwise.kernels.colored import code_states
+from starwise.kernels.colored import K_MAX, code_states
 from starwise.kernels.error_states import ErrorModel, ErrorRows, Slots, adapt_scale, motion_rate_variance
 from starwise.kernels.rangemodel import Epochs, ModelOptions, RowModel, Rows, variances
 
@@ -20,9 +20,9 @@ U1 = NDArray[np.uint8]
 @njit
 def run_terms(
     options: ModelOptions, errors: ErrorModel, epochs: Epochs, rows: Rows, extra: ErrorRows, out: RowModel, fresh: U1,
-    speed2: F8, idx: I8, val: F8, count: I8, white: F8, rate: F8, scale: F8,
+    speed2: F8, lasting: F8, white: F8, rate: F8, scale: F8,
 ) -> None:  # fmt: skip
-    """Error states, white variances and rate variances of all rows of a run.
+    """Variances of lasting errors, of white noise and of rates of all rows of a run.
 
     Parameters
     ----------
@@ -36,17 +36,14 @@ def run_terms(
         1 where an epoch started the filter: its innovations do not move the factor.
     speed2 : (m,)
         Squared speed, (m/s)^2.
-    idx, val : (n, 2, K_MAX)
-        Out: error states of the first and second code as `code_states` gives them for a layout without other states
-        and with one satellite; entries from 4 to ``count``.
-    count : (n, 2)
-        Out; 0: no such code.
+    lasting : (n, 2)
+        Out: prior variance of the lasting errors of the first and second code, m^2.
     white, rate : (n, 2), (n,)
-        Out: variances, m^2 and m^2/s^2.
+        Out: variances of white noise, m^2 and m^2/s^2.
     scale : (m,)
         Out: the factor on the variance of code noise and multipath at each epoch.
     """
-    none = np.zeros(0, np.int64)
+    none, idx, val = np.zeros(0, np.int64), np.zeros(K_MAX, np.int64), np.zeros(K_MAX)
     slots = Slots(none, none, none, none, np.ones(1))
     t_last = epochs.t_ns[0] if len(epochs.t_ns) else 0
     for e in range(len(epochs.t_ns)):
@@ -64,9 +61,11 @@ def run_terms(
             for b in range(2):
                 if b == 1 and extra.code2_m[i] != extra.code2_m[i]:  # NaN
                     continue
-                count[i, b], white[i, b], part = code_states(
-                    errors, rows, extra, out, i, b == 1, 0, 0, slots.scale[0], idx[i, b], val[i, b]
+                count, white[i, b], part = code_states(
+                    errors, rows, extra, out, i, b == 1, 0, 0, slots.scale[0], idx, val
                 )
+                for k in range(4, count):
+                    lasting[i, b] += val[k] * val[k]
                 v = extra.v2[i] if b == 1 else out.v_code[i]
                 s = extra.s2[i] if b == 1 else out.s_code[i]
                 if s > 0.0:
@@ -76,3 +75,31 @@ def run_terms(
         t_last = epochs.t_ns[e]
         if errors.on:
             adapt_scale(errors, slots, dt, total, weight)
+
+
+@njit
+def row_states(
+    errors: ErrorModel, rows: Rows, extra: ErrorRows, out: RowModel, at: I8, scale: F8, idx: I8, val: F8, count: I8
+) -> None:
+    """Error states that the codes of some rows see.
+
+    Parameters
+    ----------
+    errors, rows, extra, out
+        As `run_terms`.
+    at : (k,)
+        Rows.
+    scale : (k,)
+        Factor on the variance of code noise at the epochs of these rows.
+    idx, val : (k, 2, K_MAX)
+        Out: as `code_states` gives them for a layout without other states and with one satellite; entries from 4 to
+        ``count``.
+    count : (k, 2)
+        Out; 0: no such code.
+    """
+    for j in range(len(at)):
+        i = at[j]
+        for b in range(2):
+            if b == 1 and extra.code2_m[i] != extra.code2_m[i]:
+                continue
+            count[j, b], _, _ = code_states(errors, rows, extra, out, i, b == 1, 0, 0, scale[j], idx[j, b], val[j, b])
