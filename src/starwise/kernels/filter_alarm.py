@@ -7,6 +7,8 @@ looked at over epochs; what they raise is only a suspicion, and least squares de
 storm in the ionosphere, raises it as well.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,8 +26,9 @@ FEWEST_CODES = 6  # codes from which on a part of them says something
 FEWEST_IN_VIEW = 4
 REFUSED_USUAL = 0.15  # part of the codes outside the gate that a faulty satellite, or a street, explains
 REFUSED_ALARM = 0.5  # sum over epochs of what exceeds it
-STRAIN_ALARM = 2.0  # mean square of what is estimated; one if the model holds
-CONTRADICTION = 25.0  # squared distance from least squares, in variances of both
+STRAIN = 2.0  # sum of squares over the most that the model allows from which on lasting errors are strained
+STRAIN_SIGMAS = 4.0  # above its mean, if the model holds
+CONTRADICTION = 36.0  # squared distance from least squares (whose covariance takes errors for white), in variances
 
 
 @njit
@@ -45,13 +48,18 @@ def refused_part(rows: Rows, m: int, at: I8, work: Work) -> float:
 
 
 @njit
-def strain(errors: ErrorModel, slots: Slots, x: F8, P: F8, base: int) -> float:
-    """Mean square of the estimates of lasting errors over what their prior allows: one where the model holds."""
+def are_strained(errors: ErrorModel, slots: Slots, x: F8, P: F8, base: int) -> bool:
+    """Whether the estimates of lasting errors are far larger than their prior allows.
+
+    If the model holds, the sum of their squares has the mean sum of 1 - P, and is spread like a chi-square of as many
+    degrees of freedom.
+    """
     total, allowed = 0.0, 0.0
     for i in range(base, base + n_errors(errors, slots)):
         total += x[i] * x[i]
         allowed += 1.0 - P[i, i]
-    return total / max(allowed, 1.0)
+    allowed = max(allowed, 1.0)
+    return total > STRAIN * (allowed + STRAIN_SIGMAS * math.sqrt(2.0 * allowed))
 
 
 @njit

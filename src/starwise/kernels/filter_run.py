@@ -25,11 +25,10 @@ from starwise.kernels.filter_alarm import (
     FEWEST_IN_VIEW,
     REFUSED_ALARM,
     REFUSED_USUAL,
-    STRAIN_ALARM,
+    are_strained,
     contradicted,
     in_view,
     refused_part,
-    strain,
 )
 from starwise.kernels.filter_clocks import activate_clocks, align_clocks, count_missed
 from starwise.kernels.filter_epoch import arrange, tally, update_epoch
@@ -324,7 +323,7 @@ def filter_run(
             blind = blind + 1 if in_view(rows, start, end) >= FEWEST_IN_VIEW else 0
             continue
         blind = 0
-        strained = strained + 1 if strain(errors, slots, x, P, nk + 2 * nc) > STRAIN_ALARM else 0
+        strained = strained + 1 if are_strained(errors, slots, x, P, nk + 2 * nc) else 0
         refused = min(max(refused + refused_part(rows, m, at, work) - REFUSED_USUAL, 0.0), 2.0 * REFUSED_ALARM)
         redundant = n_used > 3 + n_clocks
         if not agreed or nis > threshold(options.chi2, dof):
