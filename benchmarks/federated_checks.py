@@ -1,12 +1,13 @@
 """More of the federated filter on real measurements: many sessions, tied clocks, thresholds, threads.
 
-python benchmarks/federated_checks.py pooled|tied|thresholds|threads [--dynamics static] [--only NAME] [--json]
+python benchmarks/federated_checks.py pooled|tied|quiet|thresholds|threads [--dynamics static] [--only NAME] [--json]
 
 pooled      Sessions of two hours of all sets with more than one constellation, both filters started anew in each: the
             error of a receiver at rest is one slowly moving number, so that a set is one draw and only many tell
             accuracy and honesty.
 tied        The faults of whole constellations of `federated_real`, in the centralised filter, whose clocks are one
-            oscillator with slowly varying biases (``clock.isolate``), and what it names without faults.
+            oscillator with slowly varying biases (``clock.isolate``).
+quiet       What the federated filter and the one with tied clocks name in all sets as they are, without faults.
 thresholds  Events of the federated filter without faults, real sets and drives through the simulated canyon, and delays
             of ramps common to a constellation, with `CLOCK_FLOOR_M` and `LEAST_TOGETHER_M` halved and doubled.
 threads     The local filters alone on 1, 2 and 4 threads, and how long a thread of Python beside them stands still.
@@ -48,6 +49,7 @@ from starwise.models.pseudorange import prepare
 from starwise.types import Truth
 
 SESSION_S = 7200.0
+TIED: dict[str, Any] = {"method": "s3ekf", "clock": {"isolate": True}}
 CANYONS = (21, 22, 23, 24)
 KNOBS = ("CLOCK_FLOOR_M", "LEAST_TOGETHER_M")
 FACTORS = (0.5, 1.0, 2.0)
@@ -152,23 +154,28 @@ def _common_ramp(case: Case) -> list[float | None]:
 
 
 def show_tied(dynamics: str, only: str, as_json: bool) -> None:
-    """Faults of whole constellations under tied clocks; then runs of every set without a fault."""
-    options: dict[str, Any] = {"method": "s3ekf", "dynamics": dynamics, "clock": {"isolate": True}}
-    rows = [row for name in SETS if only in name for row in common(load(name, **options))]
-    quiet = {}
-    for data in STATIC:
-        if len(data.systems) < 2 or only not in data.name:
-            continue
-        case = load(data.name, **options)
-        quiet[data.name] = [event.record() for event in estimate(case.prepared(), case.config)[1]]
+    """Faults of whole constellations under tied clocks."""
+    rows = [row for name in SETS if only in name for row in common(load(name, dynamics=dynamics, **TIED))]
     if as_json:
-        print(json.dumps({"common": rows, "fault_free": quiet}, indent=1))
+        print(json.dumps(rows, indent=1))
         return
     show_common(rows)
-    for name, events in quiet.items():
-        print(
-            f"{name:<18} without a fault: {len(events)} named {[e['satellite'] or e['constellation'] for e in events]}"
-        )
+
+
+def show_quiet(dynamics: str, only: str, as_json: bool) -> None:
+    """Events of sets without faults, by filter."""
+    found: dict[str, Any] = {}
+    for data in STATIC:
+        for name, options in (("federated", {}), ("tied", TIED)):
+            if only in data.name:
+                case = load(data.name, dynamics=dynamics, **options)
+                _, events = estimate(case.prepared(), case.config)
+                found[f"{data.name}, {name}"] = [event.record() for event in events]
+    if as_json:
+        print(json.dumps(found, indent=1))
+        return
+    for name, events in found.items():
+        print(f"{name:<28} {len(events)} named: {[e['satellite'] or e['constellation'] for e in events]}")
 
 
 def show_pooled(found: dict[str, Any], as_json: bool) -> None:
@@ -200,7 +207,7 @@ def show_thresholds(rows: list[dict[str, Any]], as_json: bool) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("pooled", "tied", "thresholds", "threads"))
+    parser.add_argument("what", choices=("pooled", "tied", "quiet", "thresholds", "threads"))
     parser.add_argument("--dynamics", default="static")
     parser.add_argument("--only", default="")
     parser.add_argument("--json", action="store_true")
@@ -209,6 +216,8 @@ def main() -> None:
         show_pooled(pooled(args.dynamics), args.json)
     elif args.what == "tied":
         show_tied(args.dynamics, args.only, args.json)
+    elif args.what == "quiet":
+        show_quiet(args.dynamics, args.only, args.json)
     elif args.what == "thresholds":
         show_thresholds(thresholds(args.only), args.json)
     else:
