@@ -17,6 +17,7 @@ from starwise.constants import NS, ROW_GATED, ROW_LOW_ELEVATION, ROW_NOT_SELECTE
 from starwise.errors import StarwiseError
 from starwise.io.results import read_solution, write_results
 from starwise.report.html import Compared, compare_page, run_page, study_page, write_page, write_report, write_study
+from starwise.report.html.beside import beside
 from starwise.report.html.diagnosis import lab_payload, paragraphs
 from starwise.report.html.encode import packed, safe_json, thinned
 from starwise.report.html.epochs import MAX_EPOCHS, localised, shown_epochs
@@ -366,3 +367,17 @@ def test_study_takes_figures_of_its_own_folder_only(tmp_path: Path) -> None:
         write_study(tmp_path / "none")
     with pytest.raises(StarwiseError, match="cannot be written"):
         write_page(b"", tmp_path / "none" / "x.html")
+
+
+def test_numbers_beside_the_papers() -> None:
+    row = {"scenario": 1, "method": "lsq", "horizontal_2rms_m": 5.0, "paper_horizontal_2rms_m": 10.0}
+    (group,) = beside("s3ekf", {"table1": [row, {**row, "method": "ekf"}]})
+    (pair,) = group.pairs
+    assert (pair.ours, pair.paper, pair.ratio) == ("5.00", "10.0", "0.50")
+    assert pair.at_paper == pytest.approx(2.0 * pair.at_ours, abs=0.02)  # places are rounded to 0.01 %
+    assert pair.left + pair.width == pytest.approx(pair.at_paper)
+    here = {"dynamic": {"rho": [0.1, -0.1]}, "paper": {"rho": [-0.4, 0.2]}}
+    (group,) = beside("rdss_sins", here)
+    assert group.zero > 0.0  # there are numbers on both sides
+    assert [pair.ratio for pair in group.pairs] == ["", ""]
+    assert beside("another", {"table1": []}) == beside("stability", {}) == []

@@ -101,7 +101,8 @@ def write_study(folder: str | Path, paper: str = "") -> Path:
         text = (base / "report.md").read_text(encoding="utf-8")
     except OSError as error:
         raise StarwiseError(f"cannot be read ({error.strerror})", file=base / "report.md") from None
-    return write_page(study_page(text, base, paper), base / REPORT)
+    numbers = _read_json(base / "reproduce.json") if (base / "reproduce.json").is_file() else None
+    return write_page(study_page(text, base, paper, numbers), base / REPORT)
 
 
 def refresh_reports(sources: Sequence[tuple[str, str | None]], *, antenna_up_m: float = 0.0) -> list[Path]:
@@ -130,8 +131,10 @@ def read_assessment(folder: Path) -> dict[str, Any] | None:
         It is there and is no JSON object.
     """
     file = folder / ASSESSMENT
-    if not folder.is_dir() or not file.is_file():
-        return None
+    return _read_json(file) if folder.is_dir() and file.is_file() else None
+
+
+def _read_json(file: Path) -> dict[str, Any]:
     try:
         found = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):

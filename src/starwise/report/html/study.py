@@ -2,8 +2,11 @@
 
 import base64
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+from starwise.report.html.beside import beside
 from starwise.report.html.page import rendered
 
 _IMAGE = re.compile(r'<img src="([^"]*)"')
@@ -15,7 +18,7 @@ _PAPERS = {
 }
 
 
-def study_page(text: str, folder: str | Path, paper: str = "", intro: str = "") -> bytes:
+def study_page(text: str, folder: str | Path, paper: str = "", result: Mapping[str, Any] | None = None) -> bytes:
     """Report in Markdown as one HTML file, with the figures it names (SVG beside it) inside.
 
     Parameters
@@ -26,8 +29,8 @@ def study_page(text: str, folder: str | Path, paper: str = "", intro: str = "") 
         Where its figures are.
     paper : str
         Short name of the paper.
-    intro : str, optional
-        A sentence below the title.
+    result : mapping, optional
+        What ``reproduce.json`` holds: its numbers are shown beside the paper's.
     """
     from markdown_it import MarkdownIt
     from markupsafe import Markup
@@ -37,7 +40,7 @@ def study_page(text: str, folder: str | Path, paper: str = "", intro: str = "") 
     html = parser.render(body)
     html = html.replace("<table>", '<div class="tabled"><table>').replace("</table>", "</table></div>")
     html = _IMAGE.sub(lambda found: f'<img loading="eager" src="{_inlined(Path(folder), found.group(1))}"', html)
-    html = _sectioned(html)
+    head, html = _sectioned(html)
     headings = re.findall(r"<h2>(.*?)</h2>", html)
     for i in range(len(headings)):
         html = html.replace("<h2>", f'<h2 id="s{i}">', 1)
@@ -46,21 +49,22 @@ def study_page(text: str, folder: str | Path, paper: str = "", intro: str = "") 
         None,
         title=title,
         eyebrow=_PAPERS.get(paper, "Reproduced"),
-        intro=intro,
+        groups=beside(paper, result or {}),
         headings=[Markup(heading) for heading in headings],
+        head=Markup(head),
         body=Markup(html),
     )
 
 
-def _sectioned(html: str) -> str:
-    """Each section in a panel of its own; the figures, which end the report, in a grid."""
+def _sectioned(html: str) -> tuple[str, str]:
+    """What stands before the sections, and the sections in panels of their own; the figures in a grid at the end."""
     figures = re.findall(r"<img [^>]*>", html)
     head, *rest = re.sub(r"<p>(\s*<img [^>]*>\s*)+</p>", "", html).split("<h2>")
-    out = head + "".join(f'<section class="panel"><h2>{part}</section>' for part in rest)
+    out = "".join(f'<section class="panel"><h2>{part}</section>' for part in rest)
     if figures:
         shown = "".join(f'<figure class="panel">{figure}</figure>' for figure in figures)
         out += f'<section><h2>Figures</h2><div class="figures">{shown}</div></section>'
-    return out
+    return head, out
 
 
 def _titled(text: str) -> tuple[str, str]:
