@@ -77,7 +77,7 @@ def _s3ekf(result: Result) -> list[tuple[str, Rows]]:
     names = {"lsq": "least squares", "s3ekf": "S3EKF"}
     rows = [row for row in result.get("table1", ()) if row["method"] in names]
     out = [
-        (title, [(f"scenario {r['scenario']}, {names[r['method']]}", r[key], r.get(f"paper_{key}")) for r in rows])
+        (title, [(f"scenario {r['scenario']}, {names[r['method']]}", r.get(key), r.get(f"paper_{key}")) for r in rows])
         for key, title in (
             ("horizontal_2rms_m", "Horizontal 2RMS, m"),
             ("vertical_2rms_m", "Vertical 2RMS, m"),
