@@ -7,6 +7,7 @@ from typing import Any, Final
 
 WIDTH: Final = 80
 LABEL: Final = 15
+NAME: Final = 17
 GROUPS: Final = {
     "pos": ("position, 3D", "m"), "vel": ("velocity, 3D", "m/s"), "acc": ("acceleration", "m/s2"),
     "att": ("attitude", "rad"), "clk": ("clock", "m"), "isb": ("inter-system", "m"), "drift": ("clock drift", "m/s"),
@@ -91,15 +92,14 @@ def _what_if(part: Mapping[str, Any]) -> list[str]:
     """A line per change: per cent of the sigmas, and what becomes observable."""
     base = part["as_it_was"]["sigma"]
     keys = [key for key in COLUMNS if base.get(key) is not None]
-    lines = [f"{'what if':<{LABEL}}{'sigma of':<21}" + "".join(f"{COLUMNS[key]:>7}" for key in keys)]
-    cells = "".join(f"{base[key]:>7.3g}" for key in keys)
-    lines.append(f"{'':{LABEL}}{'as it was, m, m/s, rad':<21}"[: LABEL + 21] + cells)
+    lines = [f"{'what if':<{LABEL}}{'sigmas, SI':<{NAME}}" + "".join(f"{COLUMNS[key]:>8}" for key in keys)]
+    lines.append(f"{'':{LABEL}}{'as it was':<{NAME}}" + "".join(f"{base[key]:>8.3g}" for key in keys))
     for outcome in part["outcomes"]:
         name = outcome["change"]
         if " + " in name:
             name = "all of it"
-        cells = "".join(f"{_change(outcome['sigma_change'].get(key)):>7}" for key in keys)
-        lines.append(f"{'':{LABEL}}{name[:20]:<21}{cells}")
+        cells = "".join(f"{_change(outcome['sigma_change'].get(key)):>8}" for key in keys)
+        lines.append(f"{'':{LABEL}}{name[: NAME - 1]:<{NAME}}{cells}")
         gained = outcome["becomes_observable"]
         lost = outcome["becomes_unobservable"]
         notes = [f"now observable: {'; '.join(gained[:2])}"] if gained else []
