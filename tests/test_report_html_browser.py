@@ -231,6 +231,9 @@ def test_selection_is_seen_in_every_panel_of_satellites(page: Opened) -> None:
         found = page.tab.locator(f"[data-panel={panel}] .over .sel, [data-panel={panel}] .over .row")
         assert found.count() == 1, panel
         assert "dim" in page.tab.locator(f"#panel-{panel}").get_attribute("class"), panel
+    for panel in ("motion", "errors", "nis", "geometry", "clocks"):  # they show when it was used
+        assert page.tab.locator(f"[data-panel={panel}] .over .strip").count() > 1, panel
+    assert len(page.tab.locator("[data-panel=track] .over .sel").get_attribute("d")) > 1000
     assert "E01" in page.tab.locator("#one").inner_text()
     # a click on a bar selects, too
     page.tab.locator("#panel-availability").scroll_into_view_if_needed()
@@ -239,7 +242,7 @@ def test_selection_is_seen_in_every_panel_of_satellites(page: Opened) -> None:
     until(page, "!['', 'E01'].includes(document.documentElement.dataset.satellite)")
     page.tab.keyboard.press("Escape")
     until(page, "document.documentElement.dataset.satellite === ''")
-    assert page.tab.locator(".over .sel, .over .row").count() == 0
+    assert page.tab.locator(".over .sel, .over .row, .over .strip").count() == 0
 
 
 def test_keys_zoom_and_colours(page: Opened) -> None:

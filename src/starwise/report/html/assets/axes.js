@@ -158,13 +158,24 @@ class Panel {
     this.under.replaceChildren();
     this.figure.classList.toggle("dim", state.sv >= 0 && !!this.spec.dims);
     if (this.spec.under) this.spec.under(this, this.under);
-    if (this.spec.select && state.sv >= 0) this.spec.select(this, this.over, state.sv);
+    const select = this.spec.select || (this.spec.time ? stretches : null);
+    if (select && S && state.sv >= 0) select(this, this.over, state.sv);
     if (this.spec.time && state.active && count) cursor(this);
     if (this.spec.mark && state.active && count) this.spec.mark(this, this.over);
   }
 }
 Panel.syncing = false;
 
+// where nothing else shows the chosen satellite: when it was used or refused, along the axis of time
+function stretches(p, over, s) {
+  const f = p.gd._fullLayout, x = f.xaxis, rows = p.spec.rows || 1, y = f["yaxis" + (rows > 1 ? rows : "")], R = S.runs;
+  const at = Math.max(y._offset + y._length, f.yaxis._offset + f.yaxis._length) - 5, half = E.interval_ms / 2;
+  for (let r = runPtr[s]; r < runPtr[s + 1]; r++) {
+    const a = Math.max(0, x.l2p(timeOf(R.first[r]) - half)), b = Math.min(x._length, x.l2p(timeOf(R.last[r]) + half));
+    if (b <= a) continue;
+    over.append(svg("rect", { class: "strip", x: x._offset + a, y: at, width: Math.max(1, b - a), height: 5, style: `fill:${css("--kind-" + kindOf(S.statuses[R.status[r]]))}` }));
+  }
+}
 function cursor(p) {
   const f = p.gd._fullLayout, x = f.xaxis, at = x.l2p(times[state.i]);
   if (at < 0 || at > x._length) return;
@@ -189,7 +200,7 @@ function zoomTime(range) {
   document.documentElement.classList.toggle("zoomed", !!range);
 }
 
-const tip = el("div", { class: "tip", role: "status" });
+const tip = el("div", { class: "tip", "aria-hidden": "true" });
 document.body.append(tip);
 function showTip(ev, lines) {
   if (!lines || !lines.length) { hideTip(); return; }

@@ -5,7 +5,7 @@ function buildInspector() {
   if (!box || !E || !count) { if (box) box.remove(); return; }
   const head = el("div", { class: "head" },
     el("button", { type: "button", class: "step", "aria-label": "Previous epoch", onclick: () => setEpoch(state.i - 1) }, "◀"),
-    el("div", { class: "when" }, el("b", { id: "when" }), el("span", { id: "when-note" })),
+    el("div", { class: "when", "aria-live": "polite" }, el("b", { id: "when" }), el("span", { id: "when-note" })),
     el("button", { type: "button", class: "step", "aria-label": "Next epoch", onclick: () => setEpoch(state.i + 1) }, "▶"),
     el("button", { type: "button", class: "fold", "aria-expanded": "false", "aria-label": "Show the epoch's values and satellites",
       onclick: (ev) => { const on = box.classList.toggle("open"); ev.currentTarget.setAttribute("aria-expanded", String(on)); } }, "▴"));

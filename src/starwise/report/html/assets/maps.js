@@ -124,6 +124,20 @@ const trackSpec = () => ({
     return { data, layout };
   },
   under: graticule,
+  // the part of the way on which the chosen satellite was used
+  select(p, over, s) {
+    let d = "", pen = false;
+    for (let r = runPtr[s]; r < runPtr[s + 1]; r++) {
+      if (S.statuses[S.runs.status[r]] !== "used") continue;
+      pen = false;
+      for (let i = Math.max(0, below(E.index, S.runs.first[r] - 1, 0, count) + 1); i < count && E.index[i] <= S.runs.last[r]; i++) {
+        if (!finite(E.enu[0][i])) { pen = false; continue; }
+        d += (pen ? "L" : "M") + p.px(1, E.enu[0][i], E.enu[1][i]).map((z) => z.toFixed(1)).join(" ");
+        pen = true;
+      }
+    }
+    clip(p, over, 1).append(svg("path", { class: "sel", d }));
+  },
   mark(p, over) {
     const i = state.i, g = clip(p, over, 1);
     if (!finite(E.enu[0][i])) return;
