@@ -3,7 +3,8 @@
 #   make test    all tests
 #   make lint    style, types, and which module may import which
 #   make docs    the documentation as a site, in site/
-#   make bench   accuracy and speed tables (needs ../shared/data or STARWISE_SHARED_DATA, and Debian's rtklib)
+#   make bench   speed beside other programs (needs ../shared/data or STARWISE_SHARED_DATA, and Debian's rtklib)
+#   make bench-all   and all tables of accuracy
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV   := .venv
@@ -51,8 +52,13 @@ docs: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 bench: $(BENCH)
-	for table in benchmarks/[a-z]*.py; do \
-	  grep -q "^if __name__" $$table || continue; case $$table in */calibrate.py) continue;; esac; echo "== $$table"; $(BIN)/python $$table || exit 1; done
+	$(BIN)/python -m benchmarks --json bench.json
+
+# All other tables: accuracy, honesty, studies. Hours.
+SUITE := _bench __main__ suite datasets whole_process spp update reading mechanisation monte_carlo_peers calibrate
+bench-all: bench
+	for table in $(filter-out $(SUITE:%=benchmarks/%.py),$(wildcard benchmarks/*.py)); do \
+	  grep -q "^if __name__" $$table || continue; echo "== $$table"; $(BIN)/python $$table || exit 1; done
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache starwise-demo site

@@ -17,9 +17,9 @@ import time
 from pathlib import Path
 
 import starwise
+from _bench import process as run
 from datasets import DATA, scratch
 from starwise.studies.simulating import simulate_files
-from whole_process import run
 
 SCENARIO = """
 name = "day"

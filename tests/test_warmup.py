@@ -31,7 +31,7 @@ def cold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...
     monkeypatch.delenv("STARWISE_NO_WARMUP", raising=False)
     monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
     monkeypatch.setattr(warmup, "_cores", lambda: 2)
-    monkeypatch.setattr(_jit, "cache_root", lambda: tmp_path)
+    monkeypatch.setattr(_jit, "cache_roots", lambda: (tmp_path,))
     monkeypatch.setattr(warmup, "compile_kernels", compile_nothing)
     return calls
 
@@ -68,7 +68,7 @@ def test_a_program_that_embeds_python_is_not_started(
 
 def test_marker_follows_the_sources(cold: list[tuple[str, ...]], monkeypatch: pytest.MonkeyPatch) -> None:
     before = warmup.marker()
-    monkeypatch.setattr(_jit, "cache_dir", lambda module: f"{module}-edited")
+    monkeypatch.setattr(_jit, "cache_name", lambda module: f"{module}-edited")
     assert warmup.marker() != before
     assert warmup.marker().parent == before.parent
 
@@ -109,13 +109,13 @@ def test_the_second_of_two_waits_for_the_first(cold: list[tuple[str, ...]]) -> N
 def test_a_cache_that_cannot_be_written_is_no_error(
     cold: list[tuple[str, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_jit, "cache_root", lambda: tmp_path / "absent")
+    monkeypatch.setattr(_jit, "cache_roots", lambda: (tmp_path / "absent",))
     warmup.ensure_warm()
     assert cold == []
 
 
 def test_failures_are_told_and_not_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_jit, "cache_root", lambda: tmp_path)
+    monkeypatch.setattr(_jit, "cache_roots", lambda: (tmp_path,))
     failed = warmup.compile_kernels(("nonsense",))
     assert failed == ["nonsense: KeyError: 'nonsense'"]
     assert warmup.marker().exists()
@@ -164,3 +164,56 @@ def test_nothing_is_left_to_compile(tmp_path: Path) -> None:
         f"for method in ('lsq', 'ekf', 's3ekf'):\n    starwise.solve({str(OBS)!r}, {str(NAV)!r}, method=method)"
     )
     assert _compiled(tmp_path / "cache") == compiled
+
+
+def test_a_shared_cache_that_cannot_be_written_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shared, own = tmp_path / "shared", tmp_path / "own"
+    shared.mkdir()
+    monkeypatch.setenv("STARWISE_CACHE_DIR", str(shared))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(own))
+    monkeypatch.setattr(_jit, "_writable", lambda path: path != shared)  # root may write anywhere
+    monkeypatch.setattr(_jit, "cache_roots", _jit.cache_roots.__wrapped__)
+    assert _jit.cache_roots()[1:] == (shared,)
+    assert own in _jit.cache_root().parents
+    assert not warmup.is_warm()
+    (shared / warmup._marker_name()).write_text("")
+    assert warmup.is_warm()
+
+
+SHARED = """
+import sys
+from pathlib import Path
+from starwise.kernels import _jit
+_jit.cache_roots = lambda: tuple(Path(root) for root in sys.argv[1:])
+import numpy as np
+from starwise.kernels.linalg import median
+assert median(np.array([3.0, 1.0, 2.0]), 3) == 2.0
+print(sum(median.stats.cache_hits.values()), sum(median.stats.cache_misses.values()))
+"""
+
+
+def test_compiled_kernels_are_found_in_a_shared_cache(tmp_path: Path) -> None:
+    """Compiled once into one directory; a process that may only read it loads from there and writes nothing."""
+    first, second, nowhere = tmp_path / "first", tmp_path / "second", tmp_path / "none" / "below-a-file"
+    (tmp_path / "none").write_text("a directory cannot be made here")
+
+    def run(*roots: Path) -> str:
+        command = [sys.executable, "-c", SHARED, *map(str, roots)]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+    first.mkdir()
+    second.mkdir()
+    assert run(first) == "0 1"
+    assert run(first) == "1 0"
+    assert run(second, first) == "1 0"
+    assert not list(second.rglob("*.nbc"))
+    assert run(nowhere, first) == "1 0"
+    assert run(nowhere) == "0 1"  # neither found nor kept, and no error
+
+
+def test_a_kernel_loads_without_numbas_tables(tmp_path: Path) -> None:
+    """What numba needs only to compile is not set up for a kernel that has been compiled: 0.2 s of every start."""
+    code = SHARED + "print('numba.typed.typeddict' in sys.modules)"
+    for expected in ("0 1\nTrue", "1 0\nFalse"):
+        done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True)
+        assert done.stdout.strip() == expected

@@ -54,12 +54,26 @@ def _cores() -> int:
 
 def marker() -> Path:
     """File that exists once the kernels as they are now have been compiled for this machine."""
+    from starwise.kernels._jit import cache_root
+
+    return cache_root() / _marker_name()
+
+
+def _marker_name() -> str:
     import llvmlite.binding as llvm
 
-    from starwise.kernels._jit import cache_dir, cache_root
+    from starwise.kernels._jit import cache_name
 
-    names = [llvm.get_host_cpu_name(), *(cache_dir(module) for module in _MAIN)]
-    return cache_root() / f"warm-{sha256(' '.join(names).encode()).hexdigest()[:16]}"
+    names = [llvm.get_host_cpu_name(), *(cache_name(module) for module in _MAIN)]
+    return f"warm-{sha256(' '.join(names).encode()).hexdigest()[:16]}"
+
+
+def is_warm() -> bool:
+    """Whether the kernels as they are now have been compiled, here or in a shared cache."""
+    from starwise.kernels._jit import cache_roots
+
+    name = _marker_name()
+    return any((root / name).exists() for root in cache_roots())
 
 
 def ensure_warm(announce: Callable[[], None] | None = None) -> None:
@@ -70,11 +84,11 @@ def ensure_warm(announce: Callable[[], None] | None = None) -> None:
     announce : callable, optional
         Called before a compilation starts, which takes most of a minute.
     """
-    if not wanted() or marker().exists():
+    if not wanted() or is_warm():
         return
     try:
         with _alone():
-            if marker().exists():
+            if is_warm():
                 return  # another process did it while this one waited
             if announce is not None:
                 announce()

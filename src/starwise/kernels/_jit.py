@@ -1,5 +1,6 @@
 """The one decorator of every kernel, and where its compiled code is kept."""
 
+import contextlib
 import hashlib
 import importlib
 import os
@@ -14,13 +15,18 @@ from typing import Any, TypeVar, cast
 
 import numba
 
+# numba's own machinery, not part of its documented interface; the tests of the warm-up fail where it has changed.
+caching: Any = importlib.import_module("numba.core.caching")
+runtime: Any = importlib.import_module("numba.core.runtime")
+
 
 def _load_numba_without_scipy_linalg() -> None:
     """Import numba's array functions without all of scipy.linalg.
 
     ``numba.np.arraymath`` imports ``scipy.linalg.cython_blas`` only to see that it is there: 0.2-0.3 s at every start,
     more than all other imports together. No kernel here calls BLAS. Whoever compiles a function that does still
-    finds the real module, because numba imports it again by name at that moment.
+    finds the real module, because numba imports it again by name at that moment. Called before numba would do it:
+    when it is about to load or to compile a kernel.
     """
     names = ("scipy.linalg", "scipy.linalg.cython_blas")
     if any(name in sys.modules for name in (*names, "numba.np.arraymath")):
@@ -34,37 +40,43 @@ def _load_numba_without_scipy_linalg() -> None:
             sys.modules.pop(name, None)
 
 
-_load_numba_without_scipy_linalg()
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 FLAGS = {"contract", "reassoc", "arcp", "nsz"}
 """Safe parts of fast maths. Never plain ``fastmath=True``: it removes the tests for NaN that mark missing values."""
-
+OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": FLAGS, "nogil": True}
+"""Of every kernel: x / 0 is inf as in numpy, safe fast maths, and no lock of the interpreter held."""
 
 _IMPORT = re.compile(rb"^from starwise\.kernels\.(\w+) import", re.MULTILINE)
+
+
+@cache
+def _source(module: str) -> tuple[bytes, tuple[str, ...]]:
+    """Hash of a kernel module's text, and the kernel modules that it imports."""
+    text = (Path(__file__).parent / f"{module}.py").read_bytes()
+    return hashlib.sha256(text).digest(), tuple(sorted({found.decode() for found in _IMPORT.findall(text)} - {"_jit"}))
 
 
 def _sources_hash(module: str) -> str:
     """Hash of everything that the compiled code of a kernel module depends on.
 
-    That is the module, all kernel modules that it imports, however indirectly, the constants and numba's version.
-    numba checks only the file of the cached function itself; after an edit to a kernel that it *calls* it would
-    return the old result.
+    That is the module, all kernel modules that it imports, however indirectly, the constants, the options of the
+    compiler and numba's version. numba itself checks only the file of the cached function; after an edit to a kernel
+    that it *calls* it would return the old result.
     """
-    here = Path(__file__).parent
-    digest = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
-    digest.update((here.parent / "constants.py").read_bytes())
+    options = sorted((key, sorted(value) if isinstance(value, set) else value) for key, value in OPTIONS.items())
+    digest = hashlib.sha256(f"{numba.__version__} {sys.version} {options}".encode())
+    digest.update((Path(__file__).parents[1] / "constants.py").read_bytes())
     seen: set[str] = set()
-    waiting = ["_jit", module]
+    waiting = [module]
     while waiting:
         name = waiting.pop()
         if name in seen:
             continue
         seen.add(name)
-        text = (here / f"{name}.py").read_bytes()
-        digest.update(hashlib.sha256(text).digest())
-        waiting.extend(sorted(found.decode() for found in _IMPORT.findall(text)))
+        own, imported = _source(name)
+        digest.update(own)
+        waiting.extend(imported)
     return digest.hexdigest()[:16]
 
 
@@ -78,45 +90,103 @@ def _writable(path: Path) -> bool:
 
 
 @cache
-def cache_root() -> Path:
-    """Directory of compiled kernels: ``$STARWISE_CACHE_DIR``, or the user's cache, or a temporary one.
+def cache_roots() -> tuple[Path, ...]:
+    """Directories of compiled kernels: the first is written, all are read.
 
-    The installation itself may be read-only or shared; nothing is written there.
+    ``$STARWISE_CACHE_DIR``, or the user's cache, or a temporary one if those cannot be written. What was asked for and
+    cannot be written is read all the same: somebody may have filled it for all (``starwise warmup``). The installation
+    itself may be read-only or shared; nothing is written there.
     """
     asked = os.environ.get("STARWISE_CACHE_DIR")
-    if asked:
-        candidates = [Path(asked)]
-    elif sys.platform == "win32":
-        candidates = [Path(os.environ.get("LOCALAPPDATA", "~")).expanduser() / "starwise" / "cache"]
+    if sys.platform == "win32":
+        own = Path(os.environ.get("LOCALAPPDATA", "~")).expanduser() / "starwise" / "cache"
     elif sys.platform == "darwin":
-        candidates = [Path("~/Library/Caches/starwise").expanduser()]
+        own = Path("~/Library/Caches/starwise").expanduser()
     else:
-        candidates = [Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "starwise"]
+        own = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "starwise"
+    first = Path(asked) if asked else own
+    if _writable(first):
+        return (first,)
+    shared = (first,) if first.is_dir() else ()
     owner = os.getuid() if hasattr(os, "getuid") else 0
-    candidates.append(Path(tempfile.gettempdir()) / f"starwise-{owner}")
-    for base in candidates:
-        if _writable(base):
-            return base
-    return Path(tempfile.mkdtemp(prefix="starwise-"))
+    for base in (own, Path(tempfile.gettempdir()) / f"starwise-{owner}"):
+        if base != first and _writable(base):
+            return (base, *shared)
+    return (Path(tempfile.mkdtemp(prefix="starwise-")), *shared)
+
+
+def cache_root() -> Path:
+    """Directory where compiled kernels are written; see `cache_roots`."""
+    return cache_roots()[0]
 
 
 @cache
-def cache_dir(module: str) -> str:
-    """Directory of the compiled code of a kernel module as it is now."""
-    return str(cache_root() / f"{module}-{_sources_hash(module)}")
+def cache_name(module: str) -> str:
+    """Name of the directory, below a `cache_root`, of the compiled code of a kernel module as it is now."""
+    return f"{module}-{_sources_hash(module)}"
+
+
+class _Locator(caching._CacheLocator):  # type: ignore[misc]
+    """Where numba keeps a kernel: a directory named by a hash of its sources, which needs no other stamp."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._name = cache_name(function.__module__.rpartition(".")[2])
+        self._line = function.__code__.co_firstlineno
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], _file: str) -> "_Locator":
+        return cls(function)
+
+    def get_cache_path(self) -> str:
+        return str(cache_root() / self._name)
+
+    def paths(self) -> list[str]:
+        return [str(root / self._name) for root in cache_roots()]
+
+    def ensure_cache_path(self) -> None:
+        Path(self.get_cache_path()).mkdir(parents=True, exist_ok=True)
+
+    def get_source_stamp(self) -> str:
+        return ""
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
+class _Implementation(caching.CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = [_Locator]  # noqa: RUF012 - as in numba
+
+
+class KernelCache(caching.FunctionCache):  # type: ignore[misc]
+    """numba's cache of compiled functions, without what a function that is there does not need.
+
+    numba fills its tables of types and functions before it looks: 0.2 s that only a compilation uses, which fills them
+    anyway. A shared cache that cannot be written is read, too, and a cache that cannot be written is no error.
+    """
+
+    _impl_class = _Implementation
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Compiled function of a signature, or None."""
+        _load_numba_without_scipy_linalg()
+        runtime.rtsys.initialize(target_context)
+        key, stamp = self._index_key(sig, target_context.codegen()), self._impl.locator.get_source_stamp()
+        for path in self._impl.locator.paths():
+            with contextlib.suppress(OSError):
+                data = caching.IndexDataCacheFile(path, self._impl.filename_base, stamp).load(key)
+                if data is not None:
+                    return self._impl.rebuild(target_context, data)
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a compiled function."""
+        with contextlib.suppress(OSError):
+            super().save_overload(sig, data)
 
 
 def njit(function: F) -> F:
-    """Compile a kernel: cached under `cache_root`, numpy's error model (x / 0 is inf), safe fast maths, no GIL held.
-
-    numba reads its cache setting when a function is decorated, so it is set for that moment only: other users of
-    numba in the same process are not affected.
-    """
-    config: Any = numba.config  # its attributes are made at run time
-    before = config.CACHE_DIR
-    config.CACHE_DIR = cache_dir(function.__module__.rpartition(".")[2])
-    try:
-        compiled: Any = numba.njit(cache=True, error_model="numpy", fastmath=FLAGS, nogil=True)(function)
-    finally:
-        config.CACHE_DIR = before
+    """Compile a kernel with `OPTIONS` when it is first called; what is compiled is kept under `cache_root`."""
+    compiled: Any = numba.njit(**OPTIONS)(function)
+    if hasattr(compiled, "enable_caching"):  # not with NUMBA_DISABLE_JIT
+        compiled._cache = KernelCache(function)
     return cast(F, compiled)
