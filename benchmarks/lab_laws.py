@@ -1,6 +1,6 @@
 """The laboratory's laws: a right filter passes as often as promised, wrong ones are found and named.
 
-python benchmarks/lab_laws.py [--right 2000] [--runs 200] [--first 0] [--json]
+python benchmarks/lab_laws.py [--right 2000] [--runs 200] [--first 0] [--only NAME] [--json]
 
 Worlds and cases stand in `starwise.studies.lab_worlds`. ``--first``: number of the first run, which decides all random
 numbers.
@@ -22,6 +22,7 @@ def main() -> None:
     parser.add_argument("--right", type=int, default=2000, help="runs with the right model")
     parser.add_argument("--runs", type=int, default=200, help="runs of every wrong one")
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     rows: list[Judged] = []
@@ -30,6 +31,8 @@ def main() -> None:
     for world, cases in ((CarWorld(), CASES), (FixWorld(), FIX_CASES)):
         label = "car" if isinstance(world, CarWorld) else "fixes"
         for case in cases:
+            if args.only not in f"{label}: {case.name}":
+                continue
             count = args.runs if case.causes else (args.right if label == "car" else args.runs)
             started = time.perf_counter()
             row = judge(partial(world.run, wrong=case), case, range(args.first, args.first + count))

@@ -213,9 +213,6 @@ class Consistency:
             raise StarwiseError(
                 "nothing to tune: the solution does not say how it was made", wanted="a result of solve"
             )
-        suggested = self.tuning
-        if suggested is not None and suggested.settings.get("error_model") == "colored":
-            config = config.with_options({"error_model": "colored"})
         return maximise(rerun, config, rounds=rounds, progress=progress)
 
     @cached_property

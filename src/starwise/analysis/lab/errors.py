@@ -79,7 +79,7 @@ class PositionErrors:
             f"Position errors are {num(size)} times as large as claimed (NEES {num(self.nees)} per degree of freedom)."
         )
         cure = (
-            "Covariances are too small: see the causes below, or inflate."
+            "Covariances are too small: see the causes, or inflate."
             if small
             else "Safe, but blunt: sigmas could be smaller."
         )

@@ -291,7 +291,7 @@ def of_solution(solution: Solution) -> Innovations | None:
         s=s[order],
         used=used[order],
         r=_noise(ledger, at, kind),
-        direction=np.where((kind == 0)[:, None], _direction(ledger, at, position[epoch]), np.nan),
+        direction=np.where((kind == 0)[:, None], _direction(ledger, at, position, epoch), np.nan),
         gate=_gates(ledger, at, colored, probability),
         gate_probability=probability,
         velocity=velocity,
@@ -359,13 +359,12 @@ def _gates(ledger: dict[str, NDArray[Any]], at: I8, colored: bool, probability: 
     return np.where(both[at], 2, 1).astype(np.uint8)
 
 
-def _direction(ledger: dict[str, NDArray[Any]], at: I8, position: F8) -> F8:
-    """Minus the unit vector to the satellite, ECEF."""
+def _direction(ledger: dict[str, NDArray[Any]], at: I8, position: F8, epoch: I8) -> F8:
+    """Minus the unit vector to the satellite, ECEF, from the position of its epoch."""
+    C = np.full((len(position), 3, 3), np.nan)
+    there = np.isfinite(position).all(axis=1)
+    llh = geodetic_from_ecef(position[there])
+    C[there] = rotations_ne_enu(llh[:, 0], llh[:, 1])
     az, el = ledger["azimuth_rad"][at], ledger["elevation_rad"][at]
     enu = np.stack([np.cos(el) * np.sin(az), np.cos(el) * np.cos(az), np.sin(el)], axis=1)
-    there = np.isfinite(position).all(axis=1)
-    out = np.full((len(at), 3), np.nan)
-    llh = geodetic_from_ecef(position[there])
-    C = rotations_ne_enu(llh[:, 0], llh[:, 1])
-    out[there] = -np.einsum("nji,nj->ni", C, enu[there])
-    return out
+    return np.asarray(-np.einsum("nji,nj->ni", C[epoch], enu))

@@ -206,7 +206,8 @@ def maximise(
     """Configuration with the largest likelihood of the innovations and prior together.
 
     One parameter after another is moved by its prior's standard deviation, then by half of it, as long as that helps.
-    The search begins at the defaults.
+    The search begins at the defaults. A filter with white errors whose innovations show lasting ones gets the coloured
+    error model first.
 
     Parameters
     ----------
@@ -225,7 +226,14 @@ def maximise(
     StarwiseError
         The run has no innovations; what a rerun raises.
     """
-    first = _innovations(rerun(config))
+    from starwise.analysis.lab.consistency import Consistency
+
+    run = rerun(config)
+    first = _innovations(run)
+    at_once = by_moments(Consistency.of(run).findings, config)
+    if at_once is not None and at_once.settings.get("error_model") == "colored":
+        config = config.with_options({"error_model": "colored"})
+        first = _innovations(rerun(config))
     found = list(parameters_of(config, first.interval_s) if parameters is None else parameters)
     search = _Search(rerun, config, found, first)
     best = [0.0] * len(found)
@@ -350,6 +358,7 @@ def by_moments(findings: Sequence[Finding], config: RunConfig | None) -> Tuning 
                 reasons.append(finding.words.rstrip("."))
     if settings.get("error_model") == "colored":  # sizes seen with white errors say nothing of those of the coloured
         settings = {"error_model": "colored"}
+        reasons = [reason for reason in reasons if "errors last" in reason]
     return Tuning(settings, tuple(reasons)) if settings else None
 
 
