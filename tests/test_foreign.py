@@ -329,6 +329,7 @@ def test_gst_gives_the_covariance(tmp_path: Path) -> None:
         ("38,60,38,89,15,24,31", (24.0, 15.0, 31.0)),  # an ellipse that contradicts the sigmas says nothing
         (",,,,15,24,31", (24.0, 15.0, 31.0)),
         ("38,60,38,90,,,31", (60.0, 38.0, 31.0)),
+        ("38,60,38,0,,,31", (38.0, 60.0, 31.0)),  # the major axis points north
         ("38,60,38,89,15,24,", None),
         ("38,0,0,0,0,0,0", None),
         ("38", None),
@@ -343,6 +344,47 @@ def test_gst_with_holes(gst: str, sigmas: tuple[float, float, float] | None, tmp
     lat, lon, _ = geodetic_from_ecef(solution.pos_e[0])
     C = C_ne_enu(lat, lon)
     np.testing.assert_allclose(C @ solution.cov_pos[0] @ C.T, np.diag(np.square(sigmas)), rtol=0, atol=1e-6)
+
+
+def gga(clock: str) -> str:
+    return f"$GNGGA,{clock},4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,"
+
+
+def rmc(clock: str, date: str) -> str:
+    return f"$GNRMC,{clock},A,4807.038,N,01131.000,E,,,{date},,,A"
+
+
+@pytest.mark.parametrize(
+    ("lines", "steps_s"),
+    [
+        # one date for two days
+        (
+            ["$GNZDA,000000.00,01,01,2022,00,00", *(gga(f"{hour % 24:02d}0000") for hour in range(48))],
+            [3600.0] * 47,
+        ),
+        # the position before its date, over midnight with a leap second, and after a night without any
+        (
+            [
+                line
+                for clock, date in (
+                    ("235958", "311216"), ("235959", "311216"), ("235960", "311216"), ("000000", "010117"),
+                    ("123000", "020117"), ("123001", "020117"),
+                )
+                for line in (gga(clock), rmc(clock, date))
+            ],
+            [1.0, 1.0, 1.0, 36.5 * 3600.0, 1.0],
+        ),
+        # more than half a day before the first date; one of them without a height
+        (
+            [*(gga(f"{h:02d}0000") for h in range(24)), gga("230001").replace("545.4", ""), rmc("235900", "010122")],
+            [3600.0] * 23,
+        ),
+        (["$GNZDA,000000.00,01,01,99999999999,00,00", gga("000000"), rmc("000000", "010122"), gga("000001")], [1.0]),
+    ],
+)  # fmt: skip
+def test_days_of_nmea(lines: list[str], steps_s: list[float], tmp_path: Path) -> None:
+    solution = read_solution(written(tmp_path, "\n".join(lines)))
+    np.testing.assert_array_equal(np.diff(solution.t_ns), np.array(steps_s) * NS)
 
 
 def test_checksums_wrong_now_and_then_and_always(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """NMEA 0183 positions (GGA, dates of RMC or ZDA, sigmas of GST) as a `Solution`."""
 
+import datetime as dt
 import re
 from collections import Counter
 from dataclasses import dataclass, field
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from starwise.constants import DAY_S, EPOCH_COASTED, EPOCH_OK, NS
 from starwise.errors import StarwiseError
 from starwise.frames import ecef_from_geodetic, rotations_ne_enu
-from starwise.gnsstime import from_calendar
+from starwise.gnsstime import GPS_EPOCH, utc_to_gpst
 from starwise.io.bare import bare_solution
 from starwise.types import Solution
 
@@ -43,9 +44,9 @@ def looks_like_nmea(head: str) -> bool:
 class _Log:
     """What has been read so far."""
 
-    date: tuple[int, int, int] | None = None
-    date_s: float = -1.0
-    waiting: list[tuple[str, list[str]]] = field(default_factory=list)
+    midnight_ns: int | None = None  # UTC label of the day of the last instant that is known
+    second: float = 0.0  # its second of that day
+    waiting: list[tuple[float, str, list[str]]] = field(default_factory=list)
     rows: list[Row] = field(default_factory=list)
     sigmas: dict[int, list[float]] = field(default_factory=dict)
     skipped: int = 0
@@ -60,7 +61,8 @@ def parse_nmea(text: str, name: str) -> Solution:
     sentence (``provenance["geoid_m"]``, if it is one for all). Time is UTC. Covariances are of the GST of the same
     time: 1-sigma errors of latitude, longitude and height; east and north are correlated as the error ellipse says,
     where ellipse and sigmas agree. Epochs without GST have NaN, and ``provenance["covariance"]`` says how many those
-    are. Sentences with a wrong checksum, and those before the first date, are left out and counted in
+    are. A position has the date of the sentence with its time of day, else the one that brings it nearest to the
+    position before. Sentences with a wrong checksum, and those that cannot be read, are left out and counted in
     ``provenance["skipped"]``; where a program gets the checksums of one kind of sentence wrong throughout, they are
     taken and ``provenance["checksums"]`` says so. A sentence may stand after other things in its line (logs of Android,
     mixed binary logs).
@@ -79,35 +81,62 @@ def parse_nmea(text: str, name: str) -> Solution:
             continue
         try:
             _take(log, match.group(2), match.group(3).split(","))
-        except (ValueError, IndexError, StarwiseError):
-            log.waiting.clear()
+        except (ValueError, IndexError, OverflowError):
             log.skipped += 1
+    _place(log)
     if not log.rows:
         raise StarwiseError("no NMEA position with a date", file=name, wanted="GGA with RMC or ZDA sentences")
-    log.skipped += len(log.waiting)
     return _solution(log, name)
 
 
 def _take(log: _Log, kind: str, fields: list[str]) -> None:
     if kind == "RMC":
         if fields[1] == "A":
-            log.date = (int(fields[8][4:6]), int(fields[8][2:4]), int(fields[8][0:2]))
-            log.date_s = _second_of_day(fields[0])
+            _dated(log, fields[8][4:6], fields[8][2:4], fields[8][0:2], _second_of_day(fields[0]))
     elif kind == "ZDA":
         if len(fields) >= 4 and fields[3]:
-            log.date = (int(fields[3]), int(fields[2]), int(fields[1]))
-            log.date_s = _second_of_day(fields[0])
+            _dated(log, fields[3], fields[2], fields[1], _second_of_day(fields[0]))
     elif kind == "GST" or fields[5] not in ("", "0"):
-        log.waiting.append((kind, fields))
-    if log.date is not None:
-        for waiting, given in log.waiting:
-            t_ns = _instant(log.date, log.date_s, _second_of_day(given[0]))
-            if waiting == "GST":
-                log.sigmas[t_ns] = [_positive(text) for text in given[2:8]]
+        second = _second_of_day(fields[0])
+        if log.waiting and log.waiting[-1][0] != second:
+            _place(log)
+        log.waiting.append((second, kind, fields))
+
+
+def _dated(log: _Log, year: str, month: str, day: str, second: float) -> None:
+    """A sentence with a date: what waits is of the same instant, or else of the time before."""
+    number = int(year)
+    number += (1900 if number >= 80 else 2000) if number < 100 else 0
+    midnight_ns = (dt.date(number, int(month), int(day)) - GPS_EPOCH.date()).days * DAY_S * NS
+    if not 0 <= midnight_ns < 1 << 62:
+        raise ValueError("out of range")
+    if log.waiting and log.waiting[-1][0] != second:
+        _place(log)
+    log.midnight_ns, log.second = midnight_ns, second
+    _place(log)
+    log.midnight_ns, log.second = midnight_ns, second
+
+
+def _place(log: _Log) -> None:
+    """Give the sentences that wait the day that brings them nearest to the last instant, if there is one."""
+    if log.midnight_ns is None:
+        return
+    for second, kind, fields in reversed(log.waiting):  # several instants: those before the first date
+        midnight_ns = log.midnight_ns + round((log.second - second) / DAY_S) * DAY_S * NS
+        t_ns = utc_to_gpst(midnight_ns) + round(second * NS)
+        try:
+            if t_ns < 0:
+                raise ValueError("out of range")
+            if kind == "GST":
+                log.sigmas[t_ns] = _gst(fields)
             else:
-                log.rows.append(_row(t_ns, given))
-                log.geoid_m.append(float(given[10] or 0.0))
-        log.waiting.clear()
+                log.rows.append(_row(t_ns, fields))
+                log.geoid_m.append(float(fields[10] or 0.0))
+        except (ValueError, IndexError):
+            log.skipped += 1
+            continue
+        log.midnight_ns, log.second = midnight_ns, second
+    log.waiting.clear()
 
 
 def _geoid(separations: list[float]) -> dict[str, float]:
@@ -139,16 +168,6 @@ def _second_of_day(text: str) -> float:
     return second
 
 
-def _instant(date: tuple[int, int, int], date_s: float, second: float) -> int:
-    """GPST, ns, of a second of a UTC day."""
-    # The date belongs to the second of its own sentence; GGA may stand on the other side of midnight.
-    days = round((date_s - second) / DAY_S)
-    t_ns = from_calendar(*date, system="UTC") + days * DAY_S * NS + round(second * NS)
-    if not 0 <= t_ns < 1 << 62:
-        raise ValueError("out of range")
-    return t_ns
-
-
 def _row(t_ns: int, gga: list[str]) -> Row:
     lat_deg = _angle(gga[1], gga[2] == "S", 2)
     lon_deg = _angle(gga[3], gga[4] == "W", 3)
@@ -167,6 +186,14 @@ def _positive(text: str) -> float:
     """A sigma; blank, zero and less are what receivers write for none."""
     value = float(text) if text.strip() else 0.0
     return value if 0.0 < value < 1e9 else float("nan")
+
+
+def _gst(fields: list[str]) -> list[float]:
+    """Semi-axes, bearing (deg, any), sigmas of latitude, longitude, height; NaN where there is none."""
+    bearing = float(fields[4]) if len(fields) > 4 and fields[4].strip() else float("nan")
+    values = [_positive(text) for text in fields[2:8]]
+    values[2:3] = [bearing if abs(bearing) <= 360.0 else float("nan")] * len(values[2:3])
+    return values
 
 
 def _covariances(rows: list[Row], sigmas: dict[int, list[float]], llh: F8) -> F8:
