@@ -51,7 +51,7 @@ class Case:
     def ratio(self, members: list[int]) -> tuple[float, float]:
         """Mean square over its expectation of some channels together, and the number of rows."""
         rows = float(self.stats.square_mean[members].sum())
-        return float(self.stats.square[members].sum()) / max(rows, 1e-300), rows
+        return max(float(self.stats.square[members].sum()) / max(rows, 1e-300), 1e-12), rows
 
     def first_lags(self, members: list[int]) -> np.ndarray:
         """Lag-1 correlation of channels in its standard deviations."""

@@ -66,7 +66,7 @@ def correlated_findings(case: Case) -> list[Finding]:
     for kind in case.kinds:
         members = case.members(kind)
         p = case.smallest("whiteness", members)
-        means = case.stats.mean_z[members] * np.sqrt(case.stats.n[members] / np.maximum(case.stats.nis[members], 1e-12))
+        means = _means(case, members)
         if len(members) >= 4 and float(np.median(np.abs(means))) > LASTING_MEANS:
             out.append(_lasting(case, kind, members, means))
             continue
@@ -86,6 +86,13 @@ def correlated_findings(case: Case) -> list[Finding]:
                 name = case.table.channels[i].label
                 out.append(_correlated(case, name, [i], rho, pairs, p, _gain(float(rho[0]), float(pairs[0])), 1))
     return out
+
+
+def _means(case: Case, members: list[int]) -> F8:
+    """Means of channels in their standard deviations, as the scatter about each mean gives them."""
+    stats = case.stats
+    spread = np.maximum(stats.square[members] / stats.n[members] - stats.mean_z[members] ** 2, 1e-12)
+    return np.asarray(stats.mean_z[members] * np.sqrt(stats.n[members] / spread))
 
 
 def _lasting(case: Case, kind: str, members: list[int], means: F8) -> Finding:
@@ -187,10 +194,10 @@ def _scatter_of_means(case: Case, kind: str) -> float:
     """Standard deviation of channel means where errors last in most channels (lasting errors have means); else 0."""
     members = case.members(kind)
     first = case.stats.rho[members, 0] * np.sqrt(case.stats.pairs[members, 0])
-    means = case.stats.mean_z[members]
-    far = np.abs(means) * np.sqrt(case.stats.n[members] / np.maximum(case.stats.nis[members], 1e-12))
+    far = np.abs(_means(case, members))
     if len(members) < 4 or not (np.mean(first > 3.0) > 0.5 or float(np.median(far)) > LASTING_MEANS):
         return 0.0
+    means = case.stats.mean_z[members]
     return 1.4826 * float(np.median(np.abs(means - np.median(means))))
 
 

@@ -119,7 +119,8 @@ def _single(case: Case, kind: str, members: list[int]) -> list[Finding]:
         p = case.adjusted("size", check.p)
         if p < ALPHA:
             rows = float(case.stats.square_mean[list(check.group)].sum())
-            out.append(_noise_finding(case, check.what, check.statistic, p, scale_gain(check.statistic, rows)))
+            size = max(check.statistic, 1e-12)
+            out.append(_noise_finding(case, check.what, size, p, scale_gain(size, rows)))
     return sorted(out, key=lambda f: -f.evidence)[:3]
 
 

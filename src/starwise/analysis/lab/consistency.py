@@ -29,6 +29,7 @@ from starwise.analysis.lab.moments import NOMINAL
 from starwise.analysis.lab.plain import plain
 from starwise.analysis.lab.rows import autocorrelations, channel_rows, group_row
 from starwise.analysis.lab.series import Series, series
+from starwise.analysis.lab.simulated import Bounds, simulated_bounds
 from starwise.analysis.lab.tuning import Progress, Rerun, Tuning, by_moments, maximise
 from starwise.analysis.lab.windows import Windows, windows
 from starwise.config import RunConfig
@@ -187,6 +188,10 @@ class Consistency:
     def explain(self) -> str:
         """Several lines of at most 79 columns: what was found, where, and what to do about it."""
         return words.explain(self)
+
+    def bounds(self, runs: int = 100, seed: int = 0) -> Bounds | None:
+        """Monte Carlo bounds of the statistics by sensor, with the very rows of this run; None without innovations."""
+        return None if self.table is None or not self.table.n else simulated_bounds(self.table, runs, seed)
 
     @cached_property
     def tuning(self) -> Tuning | None:

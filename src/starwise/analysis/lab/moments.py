@@ -65,7 +65,10 @@ def kurtosis_moments(gate: int, probability: float) -> tuple[float, float]:
 
 
 def before_gate(ratio: float, probability: float) -> float:
-    """Mean square of all innovations, over its expectation, out of that of those inside the gate (one by itself)."""
+    """Mean square of all innovations, over its expectation, out of that of those inside the gate (one by itself).
+
+    At most twice as much: innovations that fill the gate evenly (mean square a third of its edge squared) tell no more.
+    """
     if not 0.0 < probability < 1.0 or ratio <= 1.0:
         return ratio
     from scipy.special import chdtr, chdtri
@@ -74,7 +77,7 @@ def before_gate(ratio: float, probability: float) -> float:
     modelled, true = truncated_moments(1, probability)[0], ratio
     for _ in range(50):
         kept = float(chdtr(3, limit / true)) / float(chdtr(1, limit / true))
-        true = min(ratio * modelled / max(kept, 0.05), 1e6)
+        true = min(ratio * modelled / max(kept, 0.05), 2.0 * ratio)
     return true
 
 
