@@ -126,10 +126,8 @@ def main() -> None:
         return
     print(f"{args.set}, {run.config.dynamics}, {args.error_model}: {len(run.prepared.epochs.t_ns)} epochs")
     for row in rows:
-        print(
-            f"{row['kind']:<10}{row['size']:>10.0e}  {row['recovered']}/{row['runs']}   "
-            f"median {row['median_s']} s, max {row['max_s']} s"
-        )
+        times = "" if row["median_s"] is None else f"median {row['median_s']:.0f} s, max {row['max_s']:.0f} s"
+        print(f"{row['kind']:<10}{row['size']:>10.0e}  {row['recovered']}/{row['runs']}   {times}")
 
 
 if __name__ == "__main__":
