@@ -177,6 +177,41 @@ def test_lines_end_at_gaps_and_at_the_antimeridian() -> None:
     assert [len(line["geometry"]["coordinates"]) for line in lines] == [2, 2, 2]
 
 
+def test_lines_where_instants_come_twice_and_at_the_antimeridian_itself() -> None:
+    llh = np.column_stack(
+        [np.zeros(6), np.radians([179.98, 179.99, 180.0, 179.9999999999, -179.9, -179.8]), np.zeros(6)]
+    )
+    t_ns = np.array([0, 0, 1, 1, 2, 2]) * NS
+    track = replace(solved(handmade_solution(6)), pos_e=ecef_from_geodetic(llh), t_ns=t_ns)
+    parts = [
+        [float(point.get("lon", "")) for point in part.iter(f"{GPX}trkpt")]
+        for part in ET.fromstring(text_of(track, "gpx")).iter(f"{GPX}trkseg")
+    ]
+    # what is written as 180 would lie outside GPX's range, and draw a line around the world
+    assert parts == [[179.98, 179.99], [-180.0, -180.0, -179.9, -179.8]]
+
+
+@pytest.mark.parametrize(
+    ("quality", "given", "to", "said"),
+    [
+        ({"1": 300, "5": 1}, "rtklib pos", "pos", True),
+        ({"1": 300, "5": 1}, "rtklib pos", "nmea", True),
+        ({"6": 3}, "rtklib stat", "nmea", True),
+        ({"1": 3, "6": 1}, "nmea", "pos", False),
+        ({"1": 3, "5": 1}, "nmea", "nmea", True),
+        ({"5": 3, "7": 1, "0": 2}, "rtklib pos", "pos", False),
+        ({"1": 300}, "rtklib pos", "gpx", False),
+    ],
+)
+def test_a_quality_that_gets_lost_is_named(
+    quality: dict[str, int], given: str, to: str, said: bool, solution: Solution
+) -> None:
+    foreign = replace(solution, provenance={"quality": quality, "format": given})
+    notes = render([("x", foreign)], to, Choice())[2]
+    assert any(note.startswith("quality") for note in notes) == said
+    assert all(len(note) <= 73 for note in notes)  # "note: " before it, 80 columns
+
+
 def test_interval(solution: Solution) -> None:
     kept = text_of(solution, "geojson", interval_s=1.0).count(b'"Point"')
     assert kept == 4 - 0  # 4 s at 10 Hz from a whole second; none of them is the epoch without a position

@@ -40,6 +40,10 @@ SEA_LEVEL: Final = ("kml", "gpx", "nmea")
 _SUFFIXES: Final = (
     *FORMATS.values(), ".stat", ".gga", ".nav", ".txt", ".log", ".parquet", ".gz", ".z", ".zip", ".bz2",
 )  # fmt: skip
+_LAST_DIGIT_DEG: Final = 5e-10
+"""Half of the last decimal of longitudes: what would be written as 180, which GPX excludes, is -180."""
+_PLAIN: Final = {"nmea": 1, "pos": 5}
+"""Quality that is written for every ordinary epoch."""
 _GAP: Final = 10.0
 """A line is interrupted where the step in time is so many times the usual one."""
 
@@ -208,6 +212,7 @@ def render(solutions: Sequence[tuple[str, Solution]], to: str, choice: Choice) -
     said = [*(_height_notes(one, to, chosen) for (_, one), chosen in zip(kept, choices, strict=True))]
     if any(one.provenance.get("week") == "not in the file" for _, one in kept):
         said.append(["the input has no GPS week: times are of the first one, January 1980"])
+    said += [_quality_notes(one, to) for _, one in kept]
     notes = list(dict.fromkeys(itertools.chain.from_iterable(said)))
     if to in ("csv", "pos"):
         from starwise.io.maps_text import csv_table
@@ -273,6 +278,17 @@ def _height_notes(solution: Solution, to: str, choice: Choice) -> list[str]:
     return []
 
 
+def _quality_notes(solution: Solution, to: str) -> list[str]:
+    """That fixes, floats and so on of the input are not told apart in the output."""
+    seen = solution.provenance.get("quality")
+    if to not in _PLAIN or not isinstance(seen, dict):
+        return []
+    plain = "016" if solution.provenance.get("format") == "nmea" else "057"
+    if set(seen) <= set(plain):
+        return []
+    return [f"quality (RTK, PPP, DGPS) of the input is not kept: written as {_PLAIN[to]}, single"]
+
+
 def _ellipsoidal(solution: Solution, choice: Choice) -> Solution:
     """The solution with its heights above the ellipsoid, where that is known."""
     if solution.provenance.get("height") != "geodetic" or choice.geoid_m is None:
@@ -298,6 +314,7 @@ def _track(name: str, solution: Solution, to: str, choice: Choice) -> Track:
         elif to not in SEA_LEVEL and above_geoid:
             shift, height = choice.geoid_m, "ellipsoidal"
     lon_deg = np.degrees(llh[:, 1])
+    lon_deg[lon_deg >= 180.0 - _LAST_DIGIT_DEG] = -180.0
     with np.errstate(invalid="ignore"):
         sigma = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
     return Track(
@@ -305,7 +322,7 @@ def _track(name: str, solution: Solution, to: str, choice: Choice) -> Track:
         t_ns=solution.t_ns,
         utc_ns=gpst_to_utc(solution.t_ns),
         lat_deg=np.degrees(llh[:, 0]),
-        lon_deg=np.where(lon_deg >= 180.0, lon_deg - 360.0, lon_deg),
+        lon_deg=lon_deg,
         height_m=llh[:, 2] + shift,
         height=height,
         geoid_m=choice.geoid_m,
@@ -322,9 +339,10 @@ def _track(name: str, solution: Solution, to: str, choice: Choice) -> Track:
 def _segments(t_ns: NDArray[np.int64], lon_deg: F8) -> tuple[slice, ...]:
     """Stretches without a gap in time or a jump across the antimeridian."""
     steps = np.diff(t_ns)
-    if not len(steps):
+    if not steps.any():
         return (slice(0, len(t_ns)),)
-    cut = (steps > _GAP * np.median(steps)) | (np.abs(np.diff(lon_deg)) > 180.0)
+    usual = np.median(steps[steps > 0])  # an instant may come twice, as in logs of two talkers
+    cut = (steps > _GAP * usual) | (np.abs(np.diff(lon_deg)) > 180.0)
     ends = [0, *(np.flatnonzero(cut) + 1).tolist(), len(t_ns)]
     return tuple(slice(a, b) for a, b in itertools.pairwise(ends))
 
