@@ -25,7 +25,7 @@ from starwise.io.pos import read_pos
 from starwise.io.residuals import read_residuals
 from starwise.io.truth import read_truth
 from starwise.signals import sv_id, sv_name
-from starwise.studies.residuals import Weights, judge_residuals
+from starwise.studies.residuals import Weights, _scale, judge_residuals
 from test_edge_mutations import mutated
 
 STAT_SPP = (
@@ -267,6 +267,12 @@ def test_sizes_of_simulated_residuals(tmp_path: Path) -> None:
     assert any("G05" in f.where for f in biased.consistency.findings if str(f.cause) == "bias")
 
 
+def test_a_clock_of_rtklib_per_system() -> None:
+    """QZSS and SBAS have that of GPS: 8 rows, less 3 coordinates and 2 clocks."""
+    system = np.array([0, 0, 0, 0, 4, 6, 2, 2])  # G G G G J S E E
+    assert _scale(np.zeros(8, np.int64), system, np.full(8, 3.0 / 8.0)) == pytest.approx(1.0, abs=1e-12)
+
+
 @pytest.mark.real
 def test_assess_a_stat(
     kiru: Callable[[str], Path],
@@ -355,11 +361,12 @@ def rmc(clock: str, date: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("lines", "steps_s"),
+    ("lines", "first", "steps_s"),
     [
         # one date for two days
         (
             ["$GNZDA,000000.00,01,01,2022,00,00", *(gga(f"{hour % 24:02d}0000") for hour in range(48))],
+            (2022, 1, 1),
             [3600.0] * 47,
         ),
         # the position before its date, over midnight with a leap second, and after a night without any
@@ -372,19 +379,26 @@ def rmc(clock: str, date: str) -> str:
                 )
                 for line in (gga(clock), rmc(clock, date))
             ],
+            (2016, 12, 31, 23, 59, 58),
             [1.0, 1.0, 1.0, 36.5 * 3600.0, 1.0],
         ),
         # more than half a day before the first date; one of them without a height
         (
-            [*(gga(f"{h:02d}0000") for h in range(24)), gga("230001").replace("545.4", ""), rmc("235900", "010122")],
+            [*(gga(f"{h:02d}0000") for h in range(24)), gga("230001").replace("545.4", ""), rmc("235900", "311221")],
+            (2021, 12, 31),
             [3600.0] * 23,
         ),
-        (["$GNZDA,000000.00,01,01,99999999999,00,00", gga("000000"), rmc("000000", "010122"), gga("000001")], [1.0]),
+        (
+            ["$GNZDA,000000.00,01,01,99999999999,00,00", gga("000000"), rmc("000000", "010122"), gga("000001")],
+            (2022, 1, 1),
+            [1.0],
+        ),
     ],
 )  # fmt: skip
-def test_days_of_nmea(lines: list[str], steps_s: list[float], tmp_path: Path) -> None:
+def test_days_of_nmea(lines: list[str], first: tuple[int, ...], steps_s: list[float], tmp_path: Path) -> None:
     solution = read_solution(written(tmp_path, "\n".join(lines)))
     np.testing.assert_array_equal(np.diff(solution.t_ns), np.array(steps_s) * NS)
+    assert solution.t_ns[0] == from_calendar(*first, system="UTC")
 
 
 def test_checksums_wrong_now_and_then_and_always(tmp_path: Path) -> None:

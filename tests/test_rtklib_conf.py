@@ -104,6 +104,12 @@ def test_equivalents(lines: str, options: dict[str, object], tmp_path: Path) -> 
             "inpstr1-type=serial\ninpstr1-path=x\nlogstr1-type=off",
             "inpstr1-type and 2 more: keys of RTKLIB's real-time",
         ),
+        ("pos1-sateph=precise\nfile-satantfile=igs20.atx", "file-satantfile = igs20.atx: phase centres of satellites"),
+        (
+            "pos1-ionoopt=dual-freq\npos1-snrmask_r=on\npos1-snrmask_L1=30,30,30,30,30,30,30,30,30\n"
+            "pos1-snrmask_L2=20,20,20,20,20,20,20,20,20",
+            "pos1-snrmask_L2 = 20,20,20,20,20,20,20,20,20: not taken",
+        ),
         ("pos1-fancy=on", "pos1-fancy: not known here, not taken"),
     ],
 )

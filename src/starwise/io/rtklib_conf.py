@@ -140,6 +140,8 @@ def read_rtklib_conf(path: str | Path, *, method_given: bool = False) -> Importe
             _TAKEN[key](entry, out)
     _signals(entries, out)
     _snr(entries, out)
+    if out.precise and "file-satantfile" in entries and entries["file-satantfile"].value:
+        out.notes.append(entries["file-satantfile"].named("phase centres of satellites are not applied"))
     _weights(entries, out)
     _unknown(entries, out)
     return out
@@ -376,6 +378,10 @@ def _snr(entries: dict[str, _Entry], out: Imported) -> None:
     if not 0.0 <= least <= 99.0:
         raise entry.error("dB-Hz")
     out.options["cn0_min_dbhz"] = least
+    other = entries.get("pos1-snrmask_L2")
+    dual = out.options.get("combination") == "ionosphere_free"
+    if dual and other is not None and other.value.replace(" ", "") != entry.value.replace(" ", ""):
+        out.notes.append(other.named("not taken, one limit for all signals"))
     if values and (max(values) > least or len(values) < 9):
         out.notes.append(entry.named(f"no limits by elevation; {least:g} dB-Hz everywhere"))
 

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from starwise.analysis.lab import Consistency
-from starwise.constants import SYS_R, SYS_S
+from starwise.constants import SYS_G, SYS_J, SYS_R, SYS_S
 from starwise.errors import StarwiseError
 from starwise.io.foreign import kind_of
 from starwise.io.residuals import Residuals, read_residuals
@@ -220,7 +220,11 @@ def _mean_square(v: F8, s: F8) -> float:
 
 
 def _scale(t_ns: I8, system: I8, square: F8) -> float | None:
-    """Root of the weighted squares over the degrees of freedom: rows less three coordinates and a clock per system."""
+    """Root of the weighted squares over the degrees of freedom: rows less three coordinates and a clock per system.
+
+    QZSS and SBAS share the clock of GPS (``rescode`` in RTKLIB 2.4.3's pntpos.c).
+    """
+    system = np.where(np.isin(system, (SYS_J, SYS_S)), SYS_G, system)
     epoch = np.unique(t_ns, return_inverse=True)[1]
     rows = np.bincount(epoch)
     clocks = np.bincount(np.unique(np.stack([epoch, system]), axis=1)[0], minlength=len(rows))
