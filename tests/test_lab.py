@@ -119,7 +119,7 @@ def test_size_of_what_is_wrong(car: CarWorld) -> None:
     assert made.findings[0].size == pytest.approx(2.0, rel=0.1)  # true over assumed variance; 5000 rows
     assert "too small" in made.verdict
     biased = car.run(7, Wrong("", bias_m=2.0)).findings[0]
-    assert biased.size == pytest.approx(2.0, abs=0.5)  # m; the position takes a part of it
+    assert 1.2 < biased.size < 2.1  # m of 2; the position takes a part of it
     late = FixWorld().run(7, Wrong("", delay_s=0.5)).findings[0]
     assert 0.2 < late.size < 0.8  # s: what the filter has not taken for its own
 
