@@ -234,7 +234,12 @@ def suggested(
         if not needed:
             return None
         raise StarwiseError("nothing to tune", wanted="a result directory of solve with satellites")
-    config, _ = config_of(solution)
+    try:
+        config, _ = config_of(solution)
+    except StarwiseError:
+        if needed:
+            raise
+        return None
     if rerun is not None:
         return maximise(rerun, config, progress=progress)
     known = Consistency.of(solution) if consistency is None else consistency
