@@ -12,9 +12,12 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import shutil
 import sys
 from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: with matrices of a filter's size threads only wait
 
 from _bench import Table, count_cpu, machine, write_json
 from datasets import DATA
