@@ -401,6 +401,32 @@ def test_days_of_nmea(lines: list[str], first: tuple[int, ...], steps_s: list[fl
     assert solution.t_ns[0] == from_calendar(*first, system="UTC")
 
 
+def test_height_of_nmea_without_the_geoid(tmp_path: Path) -> None:
+    above = [gga("000001").replace("46.9", ""), rmc("000001", "010122"), gga("000002").replace("46.9,M", ",")]
+    solution = read_solution(written(tmp_path, "\n".join(above), "a.nmea"))
+    assert solution.provenance["height"] == "geodetic"
+    assert geodetic_from_ecef(solution.pos_e[0])[2] == pytest.approx(545.4, abs=1e-6)
+    starwise.export(solution, output=tmp_path / "b.nmea")  # and it stays so
+    assert read_solution(tmp_path / "b.nmea").provenance["height"] == "geodetic"
+    solution = read_solution(written(tmp_path, "\n".join([*above, gga("000003")])))
+    assert geodetic_from_ecef(solution.pos_e)[:, 2].tolist() == pytest.approx([545.4 + 46.9], abs=1e-6)
+    assert solution.provenance["skipped"] == 2
+    assert solution.provenance["geoid_m"] == 46.9
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        (",N,", ",s,"), (",E,", ",,"), ("4807.038", "4877.038"), ("4807.038", "-4807.03"), ("4807.038", "4807.nan"),
+        ("000001", "007501"), ("000001", "000061"),
+    ],
+)  # fmt: skip
+def test_sentences_that_are_damaged(right: str, wrong: str, tmp_path: Path) -> None:
+    lines = [rmc("000000", "010122"), gga("000000"), gga("000001").replace(right, wrong, 1)]
+    solution = read_solution(written(tmp_path, "\n".join(lines)))
+    assert (solution.n_epochs, solution.provenance["skipped"]) == (1, 1)
+
+
 def test_checksums_wrong_now_and_then_and_always(tmp_path: Path) -> None:
     pairs = [
         (

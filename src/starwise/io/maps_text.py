@@ -102,7 +102,7 @@ def nmea(tracks: Sequence[Track]) -> bytes:
     A ZDA at the beginning has the date, without which some readers (RTKLIB) leave out the first GGA.
     Quality of GGA: 1 a position, 6 predicted only, 0 suspect (readers skip it; RMC says V). The age of corrections and
     RMS of residuals are empty. Without a geoid height the altitude is the ellipsoidal one and the separation is 0, so
-    that their sum, which is what a reader should take, is right.
+    that their sum, which is what a reader should take, is right; of heights above a geoid that is not known, it is empty.
     """
     return "".join(_sentences(track) for track in tracks).encode("ascii")
 
@@ -113,7 +113,9 @@ def _sentences(track: Track) -> str:
     dates = [f"{text[8:10]}{text[5:7]}{text[2:4]}" for text in labels(track.utc_ns, 0, "{date}")]
     lat, lon = _angles(track.lat_deg, "NS", 2), _angles(track.lon_deg, "EW", 3)
     quality = np.select([track.status == EPOCH_COASTED, track.status == EPOCH_SUSPECT], [6, 0], 1).tolist()
-    separation = 0.0 if track.geoid_m is None else track.geoid_m
+    separation = "" if track.height == "mean sea level" else "0.000"
+    if track.geoid_m is not None:
+        separation = f"{track.geoid_m:.3f}"
     hdop = [f"{v:.1f}" if 0.0 <= v < 99.95 else "" for v in track.dop[:, 2].tolist()]
     speed = np.hypot(track.vel_enu_mps[:, 0], track.vel_enu_mps[:, 1])
     course = np.degrees(np.arctan2(track.vel_enu_mps[:, 0], track.vel_enu_mps[:, 1])) % 360.0
@@ -128,7 +130,7 @@ def _sentences(track: Track) -> str:
         place = f"{lat[i]},{lon[i]}"
         valid = "V" if quality[i] == 0 else "A"
         mode = {1: "A", 6: "E", 0: "N"}[quality[i]]
-        out.append(f"GNGGA,{at},{place},{quality[i]},{used[i]:02d},{hdop[i]},{heights[i]:.3f},M,{separation:.3f},M,,")
+        out.append(f"GNGGA,{at},{place},{quality[i]},{used[i]:02d},{hdop[i]},{heights[i]:.3f},M,{separation},M,,")
         out.append(f"GNRMC,{at},{valid},{place},{motion[i]},{dates[i]},,,{mode}")
         if ellipse[i]:
             out.append(f"GNGST,{at},,{ellipse[i]}")

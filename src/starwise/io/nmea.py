@@ -28,6 +28,8 @@ _ALIKE: Final = 0.3
 
 _GEOID_SPREAD_M: Final = 1.0
 """Within this, the geoid is one height for a whole file."""
+_NORTH_SOUTH: Final = {"N": 1.0, "S": -1.0}
+_EAST_WEST: Final = {"E": 1.0, "W": -1.0}
 _MANY: Final = 10
 """Wrong checksums from which on they are the writer's."""
 
@@ -58,7 +60,8 @@ def parse_nmea(text: str, name: str) -> Solution:
     """Solution of a text with NMEA sentences of any talker: GGA gives positions, RMC or ZDA the date, GST the sigmas.
 
     Height above the ellipsoid is the sum of the antenna's height above the geoid and the geoid separation of the same
-    sentence (``provenance["geoid_m"]``, if it is one for all). Time is UTC. Covariances are of the GST of the same
+    sentence (``provenance["geoid_m"]``, if it is one for all). Without any separation heights stay above the geoid, and
+    ``provenance["height"]`` is "geodetic"; with some, sentences without are left out. Time is UTC. Covariances are of the GST of the same
     time: 1-sigma errors of latitude, longitude and height; east and north are correlated as the error ellipse says,
     where ellipse and sigmas agree. Epochs without GST have NaN, and ``provenance["covariance"]`` says how many those
     are. A position has the date of the sentence with its time of day, else the one that brings it nearest to the
@@ -131,8 +134,8 @@ def _place(log: _Log) -> None:
                 log.sigmas[t_ns] = _gst(fields)
             else:
                 log.rows.append(_row(t_ns, fields))
-                log.geoid_m.append(float(fields[10] or 0.0))
-        except (ValueError, IndexError):
+                log.geoid_m.append(float(fields[10].strip() or "nan"))
+        except (ValueError, IndexError, KeyError):
             log.skipped += 1
             continue
         log.midnight_ns, log.second = midnight_ns, second
@@ -140,9 +143,11 @@ def _place(log: _Log) -> None:
 
 
 def _geoid(separations: list[float]) -> dict[str, float]:
-    """Height of the geoid, if the sentences agree on one; 0 is what is written where it is not known."""
-    known = np.array(separations)
-    return {"geoid_m": float(np.median(known))} if known.all() and np.ptp(known) < _GEOID_SPREAD_M else {}
+    """Height of the geoid, if the sentences agree on one; 0 is what many write where it is not known."""
+    known = np.array([height for height in separations if height == height])  # without the blank ones
+    return (
+        {"geoid_m": float(np.median(known))} if len(known) and known.all() and np.ptp(known) < _GEOID_SPREAD_M else {}
+    )
 
 
 def _never_right(sentences: list[tuple[re.Match[str], bool]]) -> tuple[str, ...]:
@@ -162,24 +167,26 @@ def _checksum_holds(match: re.Match[str]) -> bool:
 
 
 def _second_of_day(text: str) -> float:
-    second = int(text[:2]) * 3600 + int(text[2:4]) * 60 + float(text[4:])
-    if not 0.0 <= second <= DAY_S:
+    hour, minute, second = int(text[:2]), int(text[2:4]), float(text[4:])
+    if not (0 <= hour <= 24 and 0 <= minute < 60 and 0.0 <= second < 61.0 and hour * 3600 + minute * 60 <= DAY_S):
         raise ValueError("not a time of day")
-    return second
+    return hour * 3600 + minute * 60 + second
 
 
 def _row(t_ns: int, gga: list[str]) -> Row:
-    lat_deg = _angle(gga[1], gga[2] == "S", 2)
-    lon_deg = _angle(gga[3], gga[4] == "W", 3)
-    h = float(gga[8]) + (float(gga[10]) if gga[10] else 0.0)
+    lat_deg = _angle(gga[1], _NORTH_SOUTH[gga[2]], 2)
+    lon_deg = _angle(gga[3], _EAST_WEST[gga[4]], 3)
+    h = float(gga[8]) + float(gga[10].strip() or 0.0)
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0 and abs(h) < 1e9):
         raise ValueError("out of range")
     return t_ns, lat_deg, lon_deg, h, int(gga[5]), min(int(gga[6] or 0), 9999)
 
 
-def _angle(text: str, negative: bool, digits: int) -> float:
-    value = int(text[:digits]) + float(text[digits:]) / 60.0
-    return -value if negative else value
+def _angle(text: str, sign: float, digits: int) -> float:
+    minutes = float(text[digits:])
+    if not (text[:digits].isdigit() and 0.0 <= minutes < 60.0):
+        raise ValueError("not degrees and minutes")
+    return sign * (int(text[:digits]) + minutes / 60.0)
 
 
 def _positive(text: str) -> float:
@@ -221,6 +228,11 @@ def _covariances(rows: list[Row], sigmas: dict[int, list[float]], llh: F8) -> F8
 
 
 def _solution(log: _Log, name: str) -> Solution:
+    blank = np.isnan(log.geoid_m)
+    above_geoid = bool(blank.all())
+    if not above_geoid:  # heights of two kinds cannot stand in one solution
+        log.skipped += int(blank.sum())
+        log.rows = [row for row, left_out in zip(log.rows, blank.tolist(), strict=True) if not left_out]
     rows = sorted(log.rows, key=lambda row: row[0])
     llh = np.array([row[1:4] for row in rows])
     llh[:, :2] = np.radians(llh[:, :2])
@@ -233,7 +245,7 @@ def _solution(log: _Log, name: str) -> Solution:
         {
             "file": name,
             "format": "nmea",
-            "height": "ellipsoidal",
+            "height": "geodetic" if above_geoid else "ellipsoidal",
             "covariance": "no GST: none" if without == len(rows) else f"GST; {without} epochs without",
             **_geoid(log.geoid_m),
             "skipped": log.skipped,
