@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -97,24 +98,32 @@ class Laboratory:
             A what-if that cannot be tried.
         """
         found: dict[str, Any] = dict.fromkeys((*PARTS, "what_if"))
-        consistency = None
-        if "consistency" in self.parts:
-            from starwise.analysis.lab import Consistency
+        if "consistency" not in self.parts:
+            return self._of_system(solution, found), None
+        from starwise.analysis.lab import Consistency
 
-            whole = solution if set(solution.ledger) >= _LEDGER else replace(solution, ledger={})
-            consistency = Consistency.of(
-                whole, truth, tolerance_s=self.tolerance_s, interpolate=self.interpolate, vertical=vertical
-            )
-            found["consistency"] = consistency.to_dict()
+        whole = solution if set(solution.ledger) >= _LEDGER else replace(solution, ledger={})
+        with ThreadPoolExecutor(1) as other:  # beside the rest: most of both is numpy's, outside of the interpreter
+            judged = other.submit(
+                Consistency.of, whole, truth, tolerance_s=self.tolerance_s, interpolate=self.interpolate,
+                vertical=vertical,
+            )  # fmt: skip
+            found = self._of_system(solution, found)
+            consistency = judged.result()
+        found["consistency"] = consistency.to_dict()
+        return found, consistency
+
+    def _of_system(self, solution: Solution, found: dict[str, Any]) -> dict[str, Any]:
+        """Records of what is asked of the run's linear system."""
         of_system = [name for name in ("observability", "stability") if name in self.parts]
         if self.what_if is None and not of_system:
-            return found, consistency
+            return found
         try:
             system = _system(solution)
         except StarwiseError as error:
             if self.what_if is not None:
                 raise
-            return {**found, **dict.fromkeys(of_system, _not_judged(error))}, consistency
+            return {**found, **dict.fromkeys(of_system, _not_judged(error))}
         if "observability" in of_system:
             from starwise.analysis.run_observability import Observability
 
@@ -127,7 +136,7 @@ class Laboratory:
             from starwise.analysis.what_if import WhatIf
 
             found["what_if"] = WhatIf.of(system, self.what_if, sky=sky_of(solution)).to_dict()
-        return found, consistency
+        return found
 
 
 def _record(make: Callable[[], Any]) -> dict[str, Any]:
