@@ -102,7 +102,8 @@ def nmea(tracks: Sequence[Track]) -> bytes:
     A ZDA at the beginning has the date, without which some readers (RTKLIB) leave out the first GGA.
     Quality of GGA: 1 a position, 6 predicted only, 0 suspect (readers skip it; RMC says V). The age of corrections and
     RMS of residuals are empty. Without a geoid height the altitude is the ellipsoidal one and the separation is 0, so
-    that their sum, which is what a reader should take, is right; of heights above a geoid that is not known, it is empty.
+    that their sum, which is what a reader should take, is right. With heights above a geoid of unknown height it is
+    empty.
     """
     return "".join(_sentences(track) for track in tracks).encode("ascii")
 

@@ -61,11 +61,14 @@ def parse_nmea(text: str, name: str) -> Solution:
 
     Height above the ellipsoid is the sum of the antenna's height above the geoid and the geoid separation of the same
     sentence (``provenance["geoid_m"]``, if it is one for all). Without any separation heights stay above the geoid, and
-    ``provenance["height"]`` is "geodetic"; with some, sentences without are left out. Time is UTC. Covariances are of the GST of the same
-    time: 1-sigma errors of latitude, longitude and height; east and north are correlated as the error ellipse says,
-    where ellipse and sigmas agree. Epochs without GST have NaN, and ``provenance["covariance"]`` says how many those
-    are. A position has the date of the sentence with its time of day, else the one that brings it nearest to the
-    position before. Sentences with a wrong checksum, and those that cannot be read, are left out and counted in
+    ``provenance["height"]`` is "geodetic"; if only some lack it, those are left out. Time is UTC. A position has the
+    date of the sentence with its time of day, else the one that brings it nearest to the position before.
+
+    Covariances are of the GST of the same time: 1-sigma errors of latitude, longitude and height; east and north are
+    correlated as the error ellipse says, where ellipse and sigmas agree. Epochs without GST have NaN, and
+    ``provenance["covariance"]`` says how many those are.
+
+    Sentences with a wrong checksum, and those that cannot be read, are left out and counted in
     ``provenance["skipped"]``; where a program gets the checksums of one kind of sentence wrong throughout, they are
     taken and ``provenance["checksums"]`` says so. A sentence may stand after other things in its line (logs of Android,
     mixed binary logs).
