@@ -2,10 +2,10 @@
 
 The sum is the global average signal-in-space range error (SISRE) of Montenbruck, Steigenberger and Hauschild,
 "Multi-GNSS signal-in-space range error assessment - methodology and results", Advances in Space Research 61 (2018):
-GPS 0.6 m, Galileo 0.2 m, BeiDou-2 1 m, GLONASS 2 m; QZSS 0.6 m as in their "Broadcast versus precise ephemerides: a
-multi-GNSS perspective", GPS Solutions 19 (2015), and BeiDou-3 0.6 m, between BeiDou-2 and Galileo since its satellites
-measure to each other. Their division among the axes follows the same papers in proportion: along the track a metre or
-less, across half of it, and the height small against the clock, which makes most of the sum except for Galileo.
+GPS 0.6 m, Galileo 0.2 m, BeiDou-2 1 m, GLONASS 2 m (abstract; January to December 2017). Chosen here, without a
+published number: QZSS as GPS; BeiDou-3 0.6 m, between BeiDou-2 and Galileo since its satellites measure to each other;
+and how the sum divides among the axes: along the track most, across less, the height small against the clock, which
+makes most of the sum except for Galileo.
 """
 
 import math
