@@ -199,6 +199,7 @@ def _filter() -> None:
     from starwise.kernels import colored, error_states, filter_clocks, filter_epoch, filter_predict, process
     from starwise.kernels.adapt import memory_size
     from starwise.kernels.filter_state import Belief, Work, start_filter
+    from starwise.kernels.row_noise import row_noise
     from starwise.models.error_model import no_errors
     from starwise.models.process import clocks_from, motion_from, process_numbers
 
@@ -238,6 +239,8 @@ def _filter() -> None:
         np.zeros(memory_size(options.rule.window)), work,
     )  # fmt: skip
     filter_rows(epochs, rows, model, 1, config)
+    none = np.zeros(0)
+    row_noise(errors, rows, extra, out, none, none, none, none)
 
 
 def _nothing(config: RunConfig) -> tuple[ModelOptions, Epochs, Rows, RowModel]:
