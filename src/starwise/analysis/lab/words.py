@@ -1,5 +1,6 @@
 """The laboratory's judgement in plain words."""
 
+import math
 import textwrap
 from typing import TYPE_CHECKING, Final
 
@@ -33,9 +34,11 @@ def explain(c: "Consistency") -> str:
     """Several lines of at most `WIDTH` columns."""
     lines = _wrapped(verdict(c)[:1].upper() + verdict(c)[1:] + ".")
     for row in c.by_sensor:
+        lasts = (
+            "" if not math.isfinite(row["rho_1"]) else f", correlation {row['rho_1']:+.2f} from one epoch to the next"
+        )
         lines += _wrapped(
-            f"{row['name']}: {row['used']} innovations, NIS {num(row['nis'])} per degree of freedom (1 expected), "
-            f"correlation {row['rho_1']:+.2f} from one epoch to the next."
+            f"{row['name']}: {row['used']} innovations, NIS {num(row['nis'])} per degree of freedom (1 expected){lasts}."
         )
     p = c.positions
     if p is not None and p.reference == "truth":
