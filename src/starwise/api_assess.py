@@ -235,24 +235,14 @@ def suggested(
         The solution does not say how it was made, or has no innovations.
     """
     from starwise.analysis.lab import Consistency
-    from starwise.analysis.lab.tuning import by_moments, maximise
-    from starwise.analysis.run_system import config_of
 
     given = solution.provenance.get("config")
-    if not isinstance(given, Mapping) or "inertial" in given or "innovation_m" not in solution.ledger:
+    if not isinstance(given, Mapping) or "inertial" in given or not set(solution.ledger) >= _LEDGER:
         if not needed:
             return None
         raise StarwiseError("nothing to tune", wanted="a result directory of solve with satellites")
-    try:
-        config, _ = config_of(solution)
-    except StarwiseError:
-        if needed:
-            raise
-        return None
-    if rerun is not None:
-        return maximise(rerun, config, progress=progress)
     known = Consistency.of(solution) if consistency is None else consistency
-    return by_moments(known.findings, config)
+    return known.tuning if rerun is None else known.tuned(rerun, progress=progress)
 
 
 def keep(
