@@ -98,7 +98,9 @@ def test_suggestion_is_a_configuration(tmp_path: Path) -> None:
     assert assess(str(folder), "--truth", TRUTH) == 0
     suggestion = folder / "suggested.toml"
     assert suggestion.is_file()
-    assert load_config(suggestion).noise.code_m < 40.0
+    found = load_config(suggestion)
+    assert found.noise.code_m < 40.0
+    starwise.solve(*FILES, config=found, report=False)
     named = tmp_path / "mine.toml"
     assert assess(str(folder), "--truth", TRUTH, "--suggest", str(named)) == 0
     assert load_config(named) == load_config(suggestion)

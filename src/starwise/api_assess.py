@@ -242,7 +242,12 @@ def suggested(
             return None
         raise StarwiseError("nothing to tune", wanted="a result directory of solve with satellites")
     known = Consistency.of(solution) if consistency is None else consistency
-    return known.tuning if rerun is None else known.tuned(rerun, progress=progress)
+    tuning = known.tuning if rerun is None else known.tuned(rerun, progress=progress)
+    used = solution.provenance.get("dynamics", {}).get("used")
+    if tuning is None or not used or not any(key.startswith("process.") for key in tuning.settings):
+        return tuning
+    # Strengths of a process belong to its preset, which solve would else look for anew.
+    return replace(tuning, settings={"dynamics": used, **tuning.settings})
 
 
 def keep(
