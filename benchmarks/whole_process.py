@@ -17,7 +17,7 @@ from datasets import DATA, STATIC, DataSet, plain, scratch
 
 SETS = ("delf_2021 24 h", "zegv_2021 24 h", "unsa_2019 24 h", "kiru_2024 2 h")
 SCENARIO = """
-name = "sim"
+name = "{name}"
 description = "At rest"
 seed = 5
 [time]
@@ -40,7 +40,7 @@ def simulated(folder: Path, name: str, epochs: int, interval_s: float = 1.0) -> 
 
     out = folder / name.replace(" ", "_")
     scenario = out.with_suffix(".toml")
-    scenario.write_text(SCENARIO.format(duration=(epochs - 1) * interval_s, interval=interval_s))
+    scenario.write_text(SCENARIO.format(name=out.name, duration=(epochs - 1) * interval_s, interval=interval_s))
     simulate_files(scenario, out)
     obs, nav = next(out.glob("*_MO.rnx")), next(out.glob("*_MN.rnx"))
     return DataSet(name, str(obs), (str(nav),), None)
