@@ -30,7 +30,7 @@ def row_noise(
     """
     for i in range(len(rows.code_m)):
         code[i], code2[i], rate[i] = np.nan, np.nan, np.nan
-        if not out.elevation[i] == out.elevation[i]:
+        if out.elevation[i] != out.elevation[i]:
             continue
         system, el, factor = rows.system[i], out.elevation[i], rows.noise_factor[i]
         white, lasting, _ = signal_sigmas(errors, system, el, rows.cn0_dbhz[i], factor, 1.0)

@@ -206,7 +206,9 @@ def delay_tests(table: Innovations) -> Family:
         return family("delay", tests)
     fit = np.linalg.lstsq(information, score, rcond=1e-8)
     gain = float(score @ fit[0])
-    tests.append(Check("delay", "position", float(fit[0].sum()), chi2_tail(gain, int(fit[2])), evidence=0.5 * gain))
+    alone = score / np.diag(information)
+    size = float(alone[np.argmax(alone * score)])  # of the memory that fits best; all together share it unsteadily
+    tests.append(Check("delay", "position", size, chi2_tail(gain, int(fit[2])), evidence=0.5 * gain))
     return family("delay", tests)
 
 

@@ -38,7 +38,8 @@ def explain(c: "Consistency") -> str:
             "" if not math.isfinite(row["rho_1"]) else f", correlation {row['rho_1']:+.2f} from one epoch to the next"
         )
         lines += _wrapped(
-            f"{row['name']}: {row['used']} innovations, NIS {num(row['nis'])} per degree of freedom (1 expected){lasts}."
+            f"{row['name']}: {row['used']} innovations, NIS {num(row['nis'])} per degree of freedom (1 expected)"
+            f"{lasts}."
         )
     p = c.positions
     if p is not None and p.reference == "truth":
