@@ -60,8 +60,9 @@ class ClockNoise(Checked):
     intersystem_psd_m2_per_s: NotNegative | None = None
     """Random walk of the clock of a system against the first system's, m^2/s."""
     isolate: bool = False
-    """ekf, s3ekf: name constellations whose codes leave those of all others together. The clocks are tied in any case;
-    this believes the majority of the satellites where the common clock is not known, and lists ``events``."""
+    """ekf, s3ekf: name constellations whose codes leave those of all others together, for receivers at rest. The clocks
+    are tied in any case; this believes the majority of the satellites where the common clock is not known, and lists
+    ``events``."""
 
 
 WEIGHTING_RULES: Final = ("iae_r", "sage_husa_r", "huber", "igg3")
