@@ -33,7 +33,7 @@ test: $(STAMP)
 
 # Laws again with the kernels as plain Python: what numba compiles is what is written. Laws that run whole filters of
 # many states would take minutes each.
-WHOLE := tests/test_colored.py tests/test_colored_honesty.py tests/test_ins.py tests/test_ins_tight.py
+WHOLE := tests/test_colored.py tests/test_colored_honesty.py tests/test_ins.py tests/test_ins_tight.py tests/test_run_system.py tests/test_what_if.py
 test-nojit: $(STAMP)
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -n $(WORKERS) -m "laws and not slow and not real" -k "not 10000_epochs and not chi_square" \
 	  $(WHOLE:%=--ignore=%)
