@@ -14,6 +14,7 @@ from starwise.constants import EPOCH_COASTED, EPOCH_OK, EPOCH_SUSPECT
 from starwise.errors import StarwiseError
 from starwise.frames import ecef_from_geodetic, enu_from_ecef
 from starwise.io.pos import parse_pos, read_pos, write_pos
+from starwise.io.results import solution_table
 from starwise.types import Solution
 
 SPP = ["pos1-posmode=single", "pos1-frequency=l1", "pos1-ionoopt=brdc", "pos1-tropopt=saas", "pos1-navsys=9"]
@@ -236,6 +237,26 @@ def test_our_file_is_read_by_rtklib(rnx2rtkp: str, tmp_path: Path) -> None:
     subprocess.run([program, "-o", tmp_path / "ours.kml", tmp_path / "ours.pos"], check=True, capture_output=True)
     text = (tmp_path / "ours.kml").read_text()
     assert text.count("<Point>") >= 55
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_covariance_that_is_none_is_named() -> None:
+    """RTKLIB, fixed epochs: correlations above 1; and rounding to 0.1 mm that leaves nothing of a variance."""
+    line = (
+        "2320 116400.000 -3817681.3784 3562839.9775 3650158.3754 1 42 0.0045 0.0052 {} -0.0041 0.0035 -0.0033 0.0 18.5"
+    )
+    head = "%  GPST  x-ecef(m)  y-ecef(m)  z-ecef(m)  Q  ns  sdx(m)  sdy(m)  sdz(m)\n"
+    solution = parse_pos("\n".join([head, line.format("0.0100"), line.format("0.0000")]).encode(), "x.pos")
+    assert solution.provenance["covariance"].startswith("1 of 2 epochs")
+    table = solution_table(solution)
+    nulls = [table[f"sigma_{axis}_m"].null_count() for axis in "enu"]
+    assert sum(nulls) > 0  # a negative variance has no root
+    written = write_pos(solution)
+    assert all(float(text) >= 0.0 for row in written.splitlines()[3:] for text in row.split()[7:10])
+    back = parse_pos(written, "y.pos")
+    assert (np.linalg.eigvalsh(back.cov_pos)[:, 0] > 0.0).tolist() == [True, False]
+    whole = parse_pos((head + line.format("0.0100")).encode(), "x.pos")
+    assert "covariance" not in whole.provenance
 
 
 def test_cannot_be_read(tmp_path: Path) -> None:

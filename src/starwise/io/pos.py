@@ -92,6 +92,7 @@ def write_pos(solution: Solution, *, program: str = "starwise") -> bytes:
 def _deviations(cov: F8) -> F8:
     """Standard deviations n e u and signed roots ne eu un, (n, 6), of ENU covariances (n, 3, 3)."""
     picked = np.stack([cov[:, 1, 1], cov[:, 0, 0], cov[:, 2, 2], cov[:, 0, 1], cov[:, 0, 2], cov[:, 1, 2]], axis=1)
+    picked[:, :3] = np.maximum(picked[:, :3], 0.0)  # a negative variance is written as RTKLIB does
     return np.asarray(np.sign(picked) * np.sqrt(np.abs(picked)))
 
 
@@ -302,8 +303,17 @@ def _assemble(form: _Form, rows: _Rows, width: int, name: str) -> Solution:
             "header": form.said,
             "height": "geodetic" if form.geodetic_height else "ellipsoidal",
             "quality": {str(q): count for q, count in sorted(Counter(quality.tolist()).items())},
+            **_impossible(cov_pos),
         },
     )
+
+
+def _impossible(cov: F8) -> dict[str, str]:
+    """How many covariances are none: RTKLIB writes such at fixed epochs, and rounds to 0.1 mm."""
+    known = cov[np.isfinite(cov).all(axis=(1, 2))]
+    count = int((np.linalg.eigvalsh(known)[:, 0] <= 0.0).sum()) if len(known) else 0
+    said = f"{count} of {len(known)} epochs have one that is not positive definite, as written; it holds no truth"
+    return {"covariance": said} if count else {}
 
 
 def _positions(form: _Form, table: F8, name: str) -> tuple[F8, F8]:

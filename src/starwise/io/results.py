@@ -196,6 +196,8 @@ def solution_table(solution: Solution) -> "pl.DataFrame":
     cov_enu = C @ solution.cov_pos @ C.transpose(0, 2, 1)
     vcov_enu = C @ solution.cov_vel @ C.transpose(0, 2, 1)
     vel_enu = (C @ solution.vel_e[:, :, None])[:, :, 0]
+    with np.errstate(invalid="ignore"):  # other programs write covariances with negative variances
+        sigma_enu, vsigma_enu = (np.sqrt(np.diagonal(c, axis1=1, axis2=2)) for c in (cov_enu, vcov_enu))
     columns = [
         pl.Series("t_gpst_ns", solution.t_ns),
         _instants("gpst", solution.t_ns),
@@ -206,8 +208,8 @@ def solution_table(solution: Solution) -> "pl.DataFrame":
         *(_series(f"{a}_m", solution.pos_e[:, i]) for i, a in enumerate(_AXES)),
         *(_series(f"v{a}_mps", solution.vel_e[:, i]) for i, a in enumerate(_AXES)),
         *(_series(f"v{a}_mps", vel_enu[:, i]) for i, a in enumerate("enu")),
-        *(_series(f"sigma_{a}_m", np.sqrt(cov_enu[:, i, i])) for i, a in enumerate("enu")),
-        *(_series(f"sigma_v{a}_mps", np.sqrt(vcov_enu[:, i, i])) for i, a in enumerate("enu")),
+        *(_series(f"sigma_{a}_m", sigma_enu[:, i]) for i, a in enumerate("enu")),
+        *(_series(f"sigma_v{a}_mps", vsigma_enu[:, i]) for i, a in enumerate("enu")),
         *(_series(f"cov_{_AXES[i]}{_AXES[j]}_m2", solution.cov_pos[:, i, j]) for i, j in _PAIRS),
         *(_series(f"cov_v{_AXES[i]}v{_AXES[j]}_m2ps2", solution.cov_vel[:, i, j]) for i, j in _PAIRS),
     ]
