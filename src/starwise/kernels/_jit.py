@@ -1,6 +1,5 @@
 """The one decorator of every kernel, and where its compiled code is kept."""
 
-import contextlib
 import hashlib
 import importlib
 import os
@@ -15,12 +14,8 @@ from typing import Any, TypeVar, cast
 
 import numba
 
-# numba's own machinery, not part of its documented interface; the tests of the warm-up fail where it has changed.
-caching: Any = importlib.import_module("numba.core.caching")
-runtime: Any = importlib.import_module("numba.core.runtime")
 
-
-def _load_numba_without_scipy_linalg() -> None:
+def load_numba_without_scipy_linalg() -> None:
     """Import numba's array functions without all of scipy.linalg.
 
     ``numba.np.arraymath`` imports ``scipy.linalg.cython_blas`` only to see that it is there: 0.2-0.3 s at every start,
@@ -126,67 +121,31 @@ def cache_name(module: str) -> str:
     return f"{module}-{_sources_hash(module)}"
 
 
-class _Locator(caching._CacheLocator):  # type: ignore[misc]
-    """Where numba keeps a kernel: a directory named by a hash of its sources, which needs no other stamp."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._name = cache_name(function.__module__.rpartition(".")[2])
-        self._line = function.__code__.co_firstlineno
-
-    @classmethod
-    def from_function(cls, function: Callable[..., Any], _file: str) -> "_Locator":
-        return cls(function)
-
-    def get_cache_path(self) -> str:
-        return str(cache_root() / self._name)
-
-    def paths(self) -> list[str]:
-        return [str(root / self._name) for root in cache_roots()]
-
-    def ensure_cache_path(self) -> None:
-        Path(self.get_cache_path()).mkdir(parents=True, exist_ok=True)
-
-    def get_source_stamp(self) -> str:
-        return ""
-
-    def get_disambiguator(self) -> str:
-        return str(self._line)
-
-
-class _Implementation(caching.CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes = [_Locator]  # noqa: RUF012 - as in numba
-
-
-class KernelCache(caching.FunctionCache):  # type: ignore[misc]
-    """numba's cache of compiled functions, without what a function that is there does not need.
-
-    numba fills its tables of types and functions before it looks: 0.2 s that only a compilation uses, which fills them
-    anyway. A shared cache that cannot be written is read, too, and a cache that cannot be written is no error.
-    """
-
-    _impl_class = _Implementation
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Compiled function of a signature, or None."""
-        _load_numba_without_scipy_linalg()
-        runtime.rtsys.initialize(target_context)
-        key, stamp = self._index_key(sig, target_context.codegen()), self._impl.locator.get_source_stamp()
-        for path in self._impl.locator.paths():
-            with contextlib.suppress(OSError):
-                data = caching.IndexDataCacheFile(path, self._impl.filename_base, stamp).load(key)
-                if data is not None:
-                    return self._impl.rebuild(target_context, data)
+@cache
+def _kernel_cache() -> Any:
+    """Class of the cache of kernels, or None where numba is not built as `starwise.kernels._cache` expects."""
+    try:
+        return importlib.import_module("starwise.kernels._cache").KernelCache
+    except (ImportError, AttributeError):
         return None
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a compiled function."""
-        with contextlib.suppress(OSError):
-            super().save_overload(sig, data)
 
 
 def njit(function: F) -> F:
     """Compile a kernel with `OPTIONS` when it is first called; what is compiled is kept under `cache_root`."""
     compiled: Any = numba.njit(**OPTIONS)(function)
-    if hasattr(compiled, "enable_caching"):  # not with NUMBA_DISABLE_JIT
-        compiled._cache = KernelCache(function)
+    if not hasattr(compiled, "enable_caching"):  # with NUMBA_DISABLE_JIT
+        return cast(F, compiled)
+    own = _kernel_cache()
+    if own is not None:
+        compiled._cache = own(function)
+        return cast(F, compiled)
+    # numba reads its cache setting when caching is enabled, so it is set for that moment only: other users of numba in
+    # the same process are not affected.
+    config: Any = numba.config  # its attributes are made at run time
+    before = config.CACHE_DIR
+    config.CACHE_DIR = str(cache_root() / cache_name(function.__module__.rpartition(".")[2]))
+    try:
+        compiled.enable_caching()
+    finally:
+        config.CACHE_DIR = before
     return cast(F, compiled)
