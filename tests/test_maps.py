@@ -109,15 +109,16 @@ def test_suspect_epochs_are_marked_or_left_out(solution: Solution) -> None:
     assert text_of(solution, "geojson").count(b'"status": "suspect"') == one
     assert text_of(solution, "kml").count(b"#suspect") == one
     assert text_of(solution, "nmea").count(b",V,") == one
-    for to in FORMATS:
-        assert (
-            b"suspect"
-            not in text_of(solution, to, suspect=False)
-            .replace(b'"suspect"', b"")
-            .replace(b":sus", b"")[
-                2500:  # styles of KML and the header of .pos name it
-            ]
-        )
+    assert text_of(solution, "csv").count(b",suspect,") == one
+    marks = {
+        "gpx": b"<type>suspect</type>", "geojson": b'"status": "suspect"', "kml": b"#suspect", "nmea": b",V,",
+        "csv": b",suspect,",
+    }  # fmt: skip
+    for to, mark in marks.items():
+        assert mark not in text_of(solution, to, suspect=False)
+    for suspect in (True, False):
+        rows = [row.split() for row in text_of(solution, "pos", suspect=suspect).splitlines() if row[:1] != b"%"]
+        assert [row[5] for row in rows].count(b"0") == (one if suspect else 0)
 
 
 def test_heights(solution: Solution) -> None:
@@ -210,6 +211,14 @@ def test_a_quality_that_gets_lost_is_named(
     notes = render([("x", foreign)], to, Choice())[2]
     assert any(note.startswith("quality") for note in notes) == said
     assert all(len(note) <= 73 for note in notes)  # "note: " before it, 80 columns
+
+
+def test_satellites_that_are_not_known_are_not_none(solution: Solution) -> None:
+    bare = replace(solution, n_used=np.zeros_like(solution.n_used))
+    for to, word in (("gpx", b"<sat>"), ("geojson", b'"satellites"'), ("kml", b'"satellites"')):
+        assert word in text_of(solution, to)
+        assert word not in text_of(bare, to)
+    assert text_of(bare, "nmea").splitlines()[1].split(b",")[7] == b""
 
 
 def test_interval(solution: Solution) -> None:

@@ -60,15 +60,14 @@ def _points(track: Track) -> list[str]:
         ", ".join(f'"{key}": {_number(value)}' for key, value in zip(seen, row, strict=True))
         for row in np.column_stack([*seen.values(), np.zeros(len(track.t_ns))])[:, :-1].tolist()
     ]
-    name = json.dumps(track.name)
-    rows = zip(
-        track.status.tolist(), gpst, track.utc(), track.n_used.tolist(), numbers, _coordinates(track), strict=True
-    )
+    name, told = json.dumps(track.name), track.n_used.any()
+    used = [f', "satellites": {n}' if told else "" for n in track.n_used.tolist()]
+    rows = zip(track.status.tolist(), gpst, track.utc(), used, numbers, _coordinates(track), strict=True)
     return [
         f'{{"type": "Feature", "properties": {{"name": {name}, "gpst": "{at}", "utc": "{utc}", '
-        f'"status": "{EPOCH_STATUS_NAMES[status]}", "satellites": {used}{", " if values else ""}{values}}}, '
+        f'"status": "{EPOCH_STATUS_NAMES[status]}"{satellites}{", " if values else ""}{values}}}, '
         f'"geometry": {{"type": "Point", "coordinates": {place}}}}}'
-        for status, at, utc, used, values, place in rows
+        for status, at, utc, satellites, values, place in rows
     ]
 
 
@@ -123,7 +122,9 @@ def _sentences(track: Track) -> str:
     moving = np.isfinite(speed)
     pairs = zip((speed / _KNOT_MPS).tolist(), course.tolist(), moving.tolist(), strict=True)
     motion = [f"{v:.3f},{c:.2f}" if known else "," for v, c, known in pairs]
-    heights, used = track.height_m.tolist(), np.clip(track.n_used, 0, 99).tolist()
+    told = track.n_used.any()
+    heights = track.height_m.tolist()
+    used = [f"{n:02d}" if told else "" for n in np.clip(track.n_used, 0, 99).tolist()]
     ellipse = _ellipses(track)
     day = labels(track.utc_ns[:1], 0, "{date}")[0]
     out = [f"GNZDA,{clock[0]},{day[8:10]},{day[5:7]},{day[:4]},00,00"]
@@ -131,7 +132,7 @@ def _sentences(track: Track) -> str:
         place = f"{lat[i]},{lon[i]}"
         valid = "V" if quality[i] == 0 else "A"
         mode = {1: "A", 6: "E", 0: "N"}[quality[i]]
-        out.append(f"GNGGA,{at},{place},{quality[i]},{used[i]:02d},{hdop[i]},{heights[i]:.3f},M,{separation},M,,")
+        out.append(f"GNGGA,{at},{place},{quality[i]},{used[i]},{hdop[i]},{heights[i]:.3f},M,{separation},M,,")
         out.append(f"GNRMC,{at},{valid},{place},{motion[i]},{dates[i]},,,{mode}")
         if ellipse[i]:
             out.append(f"GNGST,{at},,{ellipse[i]}")

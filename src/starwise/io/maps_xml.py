@@ -58,10 +58,11 @@ def _trackpoints(track: Track) -> list[str]:
         f'<extensions><s:sigma e="{e:.4f}" n="{n:.4f}" u="{u:.4f}"/></extensions>' if e + n + u < 1e12 else ""
         for e, n, u in track.sigma_enu_m.tolist()
     ]
+    told = track.n_used.any()
     rows = zip(table, track.utc(), track.status.tolist(), track.n_used.tolist(), dops, sigmas, strict=True)
     return [
         f'<trkpt lat="{lat:.9f}" lon="{lon:.9f}"><ele>{h:.4f}</ele><time>{at}</time>{geoid}'
-        f"<type>{EPOCH_STATUS_NAMES[status]}</type><sat>{used}</sat>{dop}{sigma}</trkpt>\n"
+        f"<type>{EPOCH_STATUS_NAMES[status]}</type>{f'<sat>{used}</sat>' if told else ''}{dop}{sigma}</trkpt>\n"
         for (lat, lon, h), at, status, used, dop, sigma in rows
     ]
 
@@ -118,11 +119,13 @@ def _folder(track: Track) -> list[str]:
     out.append("</gx:MultiTrack></Placemark>\n<Folder><name>epochs</name>\n")
     n = len(times)
     chosen = np.unique(np.linspace(0, n - 1, min(n, POINTS)).astype(np.int64)).tolist()
-    sigmas = track.sigma_enu_m.tolist()
+    sigmas, told = track.sigma_enu_m.tolist(), track.n_used.any()
     for i in chosen:
         status = EPOCH_STATUS_NAMES[int(track.status[i])]
         lon, lat, h = table[i]
-        data = {"status": status, "satellites": str(int(track.n_used[i]))}
+        data = {"status": status}
+        if told:
+            data["satellites"] = str(int(track.n_used[i]))
         if np.isfinite(track.sigma_enu_m[i]).all():
             data |= {f"sigma_{axis}_m": f"{value:.4f}" for axis, value in zip("enu", sigmas[i], strict=True)}
         values = "".join(f'<Data name="{key}"><value>{value}</value></Data>' for key, value in data.items())
