@@ -112,7 +112,7 @@ def test_count_of_the_prediction(clocks):
     numbers = process.Process(process.ACCELERATION, NK, *(Counted(1.0) for _ in range(7)))
     F, G, M = (objects(rng.normal(size=(3, 3))) for _ in range(3))
     got = count(
-        plain(process.predict, add_noise=plain(process.add_noise)), objects(rng.normal(size=n)), objects(np.eye(n)), NK, clocks, Counted(1.0), numbers,
-        F, G, M,
+        plain(process.predict, add_noise=plain(process.add_noise)),
+        objects(rng.normal(size=n)), objects(np.eye(n)), NK, clocks, Counted(1.0), numbers, F, G, M,
     )  # fmt: skip
     assert got == oc.own_prediction(n)
