@@ -12,11 +12,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from starwise.constants import ROW_USED
+from starwise.constants import ROW_EXCLUDED, ROW_USED
 from starwise.kernels._jit import njit
 from starwise.kernels.error_states import ErrorModel, Slots, n_errors
 from starwise.kernels.filter_state import Work
-from starwise.kernels.rangemodel import Rows
+from starwise.kernels.rangemodel import RowModel, Rows
 from starwise.kernels.update import USED_CODE
 
 F8 = NDArray[np.float64]
@@ -70,6 +70,20 @@ def contradicted(xs: F8, Ps: F8, x: F8, P: F8) -> bool:
         gone2 += (xs[i] - x[i]) ** 2
         var += Ps[i, i] + P[i, i]
     return gone2 > CONTRADICTION * var
+
+
+@njit
+def can_judge(out: RowModel, start: int, end: int, redundancy: int) -> bool:
+    """Whether least squares has codes enough to contradict a filter, and refuses few of them.
+
+    With fewer redundant codes than unknowns, or many left out, reflections agree with each other on a wrong place:
+    there it is the filter, with its memory, that knows better.
+    """
+    used, excluded = 0, 0
+    for i in range(start, end):
+        used += 1 if out.status[i] == ROW_USED else 0
+        excluded += 1 if out.status[i] == ROW_EXCLUDED else 0
+    return 2 * redundancy >= used and excluded <= REFUSED_USUAL * (used + excluded)
 
 
 @njit

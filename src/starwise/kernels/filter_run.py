@@ -26,6 +26,7 @@ from starwise.kernels.filter_alarm import (
     REFUSED_ALARM,
     REFUSED_USUAL,
     are_strained,
+    can_judge,
     contradicted,
     in_view,
     refused_part,
@@ -126,7 +127,8 @@ def restart(
     status = spp_epoch(model, spp, t_ns, rows, start, end, tie, tie_var, xs, Ps, vel, Pv, numbers, out)
     if not (status == EPOCH_OK or (status == EPOCH_SUSPECT and desperate)):
         return 0, -1
-    if alarmed and not contradicted(xs, Ps, belief.x, belief.P):
+    judge = can_judge(out, start, end, int(numbers[1]))
+    if alarmed and not (judge and contradicted(xs, Ps, belief.x, belief.P)):
         return 0, -1
     doubt = 1.0
     if status == EPOCH_SUSPECT:
