@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from starwise import __version__
 from starwise.analysis.accuracy import assess as assess_solution
@@ -19,6 +19,8 @@ from starwise.types import BroadcastRecords, Ephemeris, IonosphereModel, Observa
 from starwise.warmup import COMPILING, ensure_warm
 
 PathLike = str | Path
+WRONG_PLACE_M: Final = 1e4
+"""Horizontal error from which the truth, not the solution, is doubted."""
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction (0..1) of the whole that is."""
 
@@ -296,6 +298,14 @@ def assess(
         solution, truth, tolerance_s=tolerance_s, interpolate=interpolate, vertical=vertical or truth is None
     )
     notes = []
+    if truth is not None and (report["rms_2d_m"] or 0.0) > WRONG_PLACE_M:
+        notes.append(
+            f"the truth is {1e-3 * report['rms_2d_m']:.0f} km away: of another place, or its numbers are not what they "
+            "are taken for (ECEF metres, or latitude, longitude in degrees, in this order)"
+        )
+    untold = report["epochs_solved"] - report["epochs_compared"]
+    if truth is not None and untold > 0:
+        notes.append(f"{untold} solved epochs have no truth within {tolerance_s:g} s (--tolerance, --interpolate)")
     if not vertical and truth is not None:
         notes.append("heights are above the geoid: nothing vertical is compared (give --geoid)")
     if solution.provenance.get("week") == "not in the file":

@@ -80,14 +80,18 @@ _COLUMNS = (
 
 
 def _table(rows: list[dict[str, Any]], known: bool) -> list[str]:
-    """Table of at most 80 columns; lengths in metres."""
+    """Table of at most 80 columns; lengths in metres. About a median nothing is said of the covariance."""
     width = 80 - sum(column[2] for column in _COLUMNS)
     lines = [f"{'':{width}}" + "".join(f"{label:>{size}}" for _, label, size, _ in _COLUMNS)]
     for row in rows:
         name = str(row["name"])
         name = name if len(name) < width else "..." + name[-(width - 4) :]
+        if not known:
+            row = {**row, "coverage_95": None}
         cells = ("-" if row.get(key) is None else f"{row[key]:.{digits}f}" for key, _, _, digits in _COLUMNS)
         pairs = zip(cells, _COLUMNS, strict=True)
         lines.append(f"{name:{width}}" + "".join(f"{cell:>{column[2]}}" for cell, column in pairs))
-    lines.append("" if known else "no truth: about each solution's own median (scatter, not accuracy)")
-    return [line for line in lines if line]
+    lines.append("lengths in m; claimed: 1 sigma, 3D; in 95%: share inside the 95 % ellipsoid")
+    if not known:
+        lines[-1] = "lengths in m; no truth: about each solution's own median (scatter, not accuracy)"
+    return lines

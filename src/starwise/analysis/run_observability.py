@@ -28,7 +28,7 @@ from starwise.analysis.observability import (
 from starwise.analysis.run_system import AnySystem, system_of
 from starwise.analysis.run_window import RunWindow, filtered, whitened
 from starwise.analysis.threads import one_thread
-from starwise.analysis.words import paragraph
+from starwise.analysis.words import paragraph, spoken
 from starwise.errors import StarwiseError
 from starwise.gnsstime import iso
 from starwise.types import F8, I8, Layout, Solution
@@ -207,7 +207,7 @@ class Observability:
         parts = []
         if self.unobservable:
             lost = sum(s.window.rank < len(s.window.layout) for s in self.spans)
-            what = "; ".join(name for name, _ in self.unobservable[:3])
+            what = "; ".join(spoken(name) for name, _ in self.unobservable[:3])
             more = f" and {len(self.unobservable) - 3} others" if len(self.unobservable) > 3 else ""
             parts.append(
                 f"{self.verdict}: in {lost} of {n} windows of {size} a shift of the state along {what}{more} changes "
@@ -217,17 +217,17 @@ class Observability:
         else:
             worst = max(self.spans, key=lambda s: s.window.condition)
             weakest = min((s.window for s in self.spans), key=lambda w: w.weakest.strength)
-            text = f"{self.verdict}: all states in {n} windows of {size}, condition up to {worst.window.condition:.2g}"
-            text += f"; seen least: {weakest.weakest.name}"
+            text = f"{self.verdict}: measurements see all states in {n} windows of {size}"
+            text += f", condition number up to {worst.window.condition:.2g}; seen least: {spoken(weakest.weakest.name)}"
             if weakest.weakest.strength < 1.0:
-                text += f", about which a window says {weakest.weakest.strength:.2g} of what a start knows"
+                text += f", about which a window tells {weakest.weakest.strength:.2g} of what was known before it"
             parts.append(text + ".")
         if self.epochs is not None and len(self.epochs.epoch):
             alone = self.epochs.alone
             sigma = np.median(self.epochs.sigma_m)
             text = f"{100.0 * alone:.4g} % of the epochs determine position and clocks by themselves"
             if alone >= 0.5:
-                text += f", weakest {self.epochs.weakest} ({sigma:.2g} m)"
+                text += f", worst along {spoken(self.epochs.weakest)} (median sigma {sigma:.2g} m)"
             parts.append(text + ".")
         parts += [f"Note: {note}." for note in self.notes]
         return paragraph(parts)

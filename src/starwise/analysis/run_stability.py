@@ -29,7 +29,7 @@ from starwise.analysis.stability_controllability import (
 from starwise.analysis.stability_dare import SteadyState, spectral_radii, steady_state
 from starwise.analysis.stability_system import LinearSystem
 from starwise.analysis.threads import one_thread
-from starwise.analysis.words import paragraph
+from starwise.analysis.words import STATES, paragraph, spoken
 from starwise.errors import StarwiseError
 from starwise.gnsstime import iso
 from starwise.types import F8, I8, Solution
@@ -174,28 +174,31 @@ class Stability:
         part = "" if self.epochs == self.of_epochs else f" of {self.of_epochs}"
         parts = [
             f"{self.verdict}: after {self.epochs}{part} epochs ({self.seconds:.4g} s) {self.contraction:.2g} is left "
-            f"of the worst error of the start ({self.left})."
+            f"of the error of the start that lasts longest ({spoken(self.left)})."
         ]
-        fades = ", ".join(f"{name} {_time(t, self.late_s)}" for name, t in self.fade_s.items())
-        parts.append(f"A disturbance of the settled filter fades to 1/e in: {fades}.")
+        fades = ", ".join(f"{STATES.get(name, name)} {_time(t, self.late_s)}" for name, t in self.fade_s.items())
+        parts.append(f"Once settled, the filter forgets a disturbance (1/e is left) after: {fades}.")
         worst = self.worst_growth
         if worst is not None and worst.factor > 2.0:
             parts.append(
-                f"Before that an error of {worst.states} grows {worst.factor:.3g}-fold within {worst.after_s:.3g} s: "
-                "the spectral radius does not show this."
+                f"Before that an error of {spoken(worst.states)} grows {worst.factor:.3g}-fold within "
+                f"{worst.after_s:.3g} s: the spectral radius does not show this."
             )
         low, high = float(self.spectral_radius.min()), float(self.spectral_radius.max())
-        parts.append(f"Spectral radius of single epochs {_radius(low)} to {_radius(high)} at {len(self.at)} of them.")
+        parts.append(
+            f"Spectral radius of {len(self.at)} single epochs: {_radius(low)} to {_radius(high)} (below 1: repeated "
+            "for ever, such an epoch forgets every error; what counts is the product of all, above)."
+        )
         text = self.controllability.explain()
         if self.constants:
-            text += f" Constants that no noise reaches: {_listed(self.constants)}."
+            text += f" Taken as constant, without noise: {_listed(self.constants)}."
         parts.append(text)
         bounds = (self.observable_bounds, self.controllable_bounds)
-        for what, b in zip(("measurements tell", "noise adds"), bounds, strict=True):
+        for what, b in zip(("Measurements inform", "Process noise moves"), bounds, strict=True):
             if b is not None:
+                every = "in each" if b.holds else "but not in each"
                 parts.append(
-                    f"Over windows of {b.count} epochs {what} {math.sqrt(b.low):.2g} to {math.sqrt(b.high):.2g} late "
-                    f"sigmas: {'in every direction' if b.holds else 'not in every direction'}."
+                    f"{what} every direction of the state, {every} of {b.windows} windows of {b.count} epochs."
                 )
         return paragraph([*parts, *(f"Note: {note}." for note in self.notes)])
 

@@ -92,7 +92,7 @@ def _what_if(part: Mapping[str, Any]) -> list[str]:
     """A line per change: per cent of the sigmas, and what becomes observable."""
     base = part["as_it_was"]["sigma"]
     keys = [key for key in COLUMNS if base.get(key) is not None]
-    lines = [f"{'what if':<{LABEL}}{'sigmas, SI':<{NAME}}" + "".join(f"{COLUMNS[key]:>8}" for key in keys)]
+    lines = [f"{'what if':<{LABEL}}{'sigmas, m, rad':<{NAME}}" + "".join(f"{COLUMNS[key]:>8}" for key in keys)]
     lines.append(f"{'':{LABEL}}{'as it was':<{NAME}}" + "".join(f"{base[key]:>8.3g}" for key in keys))
     for outcome in part["outcomes"]:
         name = outcome["change"]

@@ -103,7 +103,7 @@ def _system_lines(summary: Mapping[str, Any]) -> list[str]:
                 f"{item['satellites_used']} of {item['satellites']} satellites used, on {signals}",
             )
         else:
-            lines += _field(SYSTEM_NAMES[letter], f"not used ({item['satellites']} satellites seen)")
+            lines += _field(SYSTEM_NAMES[letter], f"not used ({item['satellites']} seen)")
     return lines
 
 
@@ -243,7 +243,9 @@ def _calibration_lines(curves: Mapping[str, Any], what: str = "truth") -> list[s
 
 
 def _cell(value: float | None, unit: str) -> str:
-    return f"{'-':>12}  " if value is None else f"{value:12.3f} {unit}"
+    if value is None:
+        return f"{'-':>12}  "
+    return f"{value:12.3f} {unit}" if abs(value) < 1e6 else f"{value:12.4g} {unit}"
 
 
 def _percent(value: float | None) -> str:
@@ -260,7 +262,7 @@ _LABELS = {
     "unhealthy_at_some_time": "unhealthy",
     "epochs_by_status": "status",
     "mean_pos_e_m": "mean ECEF, m",
-    "mean_llh": "mean lat lon h",
+    "mean_llh": "lat lon h",
     "scatter_enu_m": "scatter e n u",
     "sigma_3d_mean_m": "claimed 3D, m",
     "speed_mean_mps": "speed, m/s",

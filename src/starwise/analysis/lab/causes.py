@@ -102,9 +102,10 @@ def _lasting(case: Case, kind: str, members: list[int], means: F8) -> Finding:
     long_run = float(np.average(stats.mean_z[members] ** 2 * n + stats.nis[members], weights=n))
     evidence = 0.5 * float((means**2).sum())
     words = f"Most channels of {kind} have a mean of their own: errors last longer than a satellite is seen."
-    cure = (
-        f"Give each satellite an error state of an hour or more (error_model colored), or inflate R {num(long_run)} x."
-    )
+    cure = "Give each satellite an error state of an hour or more (error_model colored), or inflate R"
+    cure += f" {num(long_run)} x."
+    if case.colored:
+        cure = "Error states are there: longer or larger ones ([errors]), or an error that is not in them."
     if long_run <= MATTERS_SCALE:
         cure = "Harmless here: they are so small that even their sum is within what is claimed."
     seen = float(np.median(n)) * case.table.interval_s
@@ -128,6 +129,8 @@ def _correlated(
     words = f"Innovations of {where} are correlated{lasts}{share}: {rho[0]:.2f} from one epoch to the next."
     cure = f"Model a Markov error of {num(0.5 * tau)}-{num(2.0 * tau)} s (error_model colored), or inflate R"
     cure += f" {num(long_run)} x."
+    if case.colored:
+        cure = f"Error states are there, but do not hold this: one of {num(0.5 * tau)}-{num(2.0 * tau)} s ([errors])."
     if long_run <= 1.0:
         cure = "Harmless here: they are so small that even their sum is within what is claimed."
     matters = float(rho[0]) > MATTERS_RHO and long_run > MATTERS_SCALE

@@ -11,6 +11,8 @@ from starwise.analysis.lab.checks_series import pooled_correlation
 from starwise.analysis.lab.findings import Cause, Finding
 from starwise.analysis.lab.moments import before_gate
 
+NO_NOISE_SEEN: Final = 1e-3
+"""Ratio of variances below which it has no figures: the estimate is at its end."""
 UNEVEN: Final = 1.3
 """Ratio between sizes of groups above which they are told apart."""
 
@@ -100,11 +102,14 @@ def _groups(case: Case, kind: str, members: list[int]) -> dict[str, list[int]]:
 def _noise_finding(case: Case, where: str, seen: float, p: float, evidence: float, span: str = "") -> Finding:
     ratio = before_gate(seen, case.table.gate_probability)
     words = f"R of {where} is {times(ratio)}{span} (variance)."
+    if seen <= NO_NOISE_SEEN:
+        words = f"R of {where} is too large: no noise of its own is seen beside the doubt about the states."
     factor = num(math.sqrt(ratio))
     cure = (
         f"Take its sigma {factor} times as large."
         if ratio > 1.0
-        else f"Its sigma could be {factor} of what it is, if no error lasts: small innovations alone do not prove it."
+        else f"Its sigma could be {'less' if seen <= NO_NOISE_SEEN else f'{factor} of what it is'}, if no error lasts: "
+        "small innovations alone do not prove it."
     )
     cause = Cause.R_TOO_SMALL if ratio > 1.0 else Cause.R_TOO_LARGE
     return Finding(cause, where, ratio, "true / assumed variance", p, evidence, off(ratio), words, cure)

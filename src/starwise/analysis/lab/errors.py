@@ -131,7 +131,7 @@ def of_positions(
     nees = (matched.nees if vertical else matched.nees_2d) / dof
     error = matched.error_n[:, :dof]
     t_ns = solution.t_ns[matched.at]
-    lags = lags_for(len(t_ns))
+    lags = lags_for(len(t_ns), longer=True)
     rho, pairs = _error_correlation(error if reference == "truth" else error - error.mean(axis=0), lags)
     interval = float(np.median(np.diff(t_ns))) * 1e-9
     # The variance of a mean of squares grows with the squares of the correlations (Bartlett 1946).
@@ -188,7 +188,8 @@ def status_findings(solution: Solution) -> list[Finding]:
     n = max(solution.n_epochs, 1)
     if resets == 0 and suspect < 0.05 * n:
         return []
-    words = f"The filter was lost: {resets} times started again, {suspect} epochs suspect, {coasted} coasted, of {n}."
+    often = "once" if resets == 1 else f"{resets} times"
+    words = f"The filter was lost: restarted {often}, {suspect} epochs suspect, {coasted} coasted, of {n}."
     return [
         Finding(
             Cause.LOST, "run", float(resets), "restarts", math.nan, 10.0 * (resets + suspect), resets > 0 or suspect >

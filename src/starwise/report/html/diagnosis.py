@@ -66,8 +66,10 @@ def lab_payload(assessment: Mapping[str, Any] | None) -> dict[str, Any]:
     if _numbers(epochs.get("epoch")) and _numbers(epochs.get("sigma_m"), len(epochs["epoch"])):
         out["sigma"] = {"epoch": epochs["epoch"], "sigma_m": epochs["sigma_m"]}
     stability = _mapping(assessment, "stability")
-    product = stability.get("product_norm")
+    product, other = stability.get("product_norm"), stability.get("product_norm_P")
     if _numbers(product) and _number(stability.get("seconds")) and isinstance(product, list) and len(product) > 1:
+        if isinstance(other, list) and _numbers(other, len(product)):  # the larger, as the words say
+            product = [max(a, b) if _number(a) and _number(b) else None for a, b in zip(product, other, strict=True)]
         out["product"] = {"norm": product, "seconds": stability["seconds"]}
     return out
 

@@ -167,7 +167,7 @@ def readouts(solution: Solution, stats: Mapping[str, Any] | None, nis: Mapping[s
     if nis is not None:
         whole = nis["all"]
         level = "good" if 0.5 <= whole["mean"] <= whole["high"] else "caution"
-        out.append(Readout("NIS per degree of freedom", number(whole["mean"]), "", "1: as small as claimed", level))
+        out.append(Readout("NIS per degree of freedom", number(whole["mean"]), "", "1 expected", level))
     if "rows_used" in s:
         out.append(Readout("satellites used per epoch", number(s.get("satellites_used_mean")), "",
                            f"{sum(i.get('satellites', 0) for i in s.get('systems', {}).values())} seen"))  # fmt: skip

@@ -8,7 +8,7 @@ const degreeSpec = () => ({
     const data = [{ type: "bar", orientation: "h", x: d, y: at, width: 0.6, hoverinfo: "skip", marker: { line: { width: 0 }, color: d.map((v) => (v > 0.9 ? css("--accent") : v > 0.3 ? css("--caution") : css("--bad"))) } }];
     layout.xaxis = axis({ range: [Math.min(0, ...d), 1.02], nticks: 6, fixedrange: true });
     layout.yaxis = axis({ range: [-0.8, n - 0.2], tickvals: at, ticktext: LAB.degree.names, showgrid: false, showline: false, ticks: "", fixedrange: true });
-    layout.annotations.push(label("<b>degree of observability</b>, 1 − σ measured / σ unmeasured", 1));
+    layout.annotations.push(label("<b>degree of observability</b>, 1 − σ / σ unmeasured", 1));
     return { data, layout };
   },
   hover(p, px, py) {
@@ -45,7 +45,7 @@ const productSpec = () => ({
     layout.xaxis = axis({ range: [0, LAB.product.seconds], nticks: 7, ticksuffix: " s" });
     layout.yaxis = axis(logTicks(Math.min(...logs, -0.5) - 0.1, Math.max(...logs, 0) + 0.1));
     layout.shapes.push({ type: "line", xref: "paper", x0: 0, x1: 1, y0: Math.exp(-1), y1: Math.exp(-1), line: { color: css("--axis"), width: 1, dash: "dot" } });
-    layout.annotations.push(label("<b>what is left of the worst error of the start</b>; dotted: 1/e", 1));
+    layout.annotations.push(label("<b>left of the error of the start</b>; dotted: 1/e", 1));
     return { data: [{ type: "scatter", mode: "lines", x, y, hoverinfo: "skip", line: { color: css("--accent"), width: 1.6 } }], layout };
   },
   hover: plainHover((x) => { const n = LAB.product.norm.length, k = Math.max(0, Math.min(n - 1, Math.round((x / LAB.product.seconds) * (n - 1)))); return [`after ${num((k / (n - 1)) * LAB.product.seconds)} s`, `${num(LAB.product.norm[k])} is left`]; }),
