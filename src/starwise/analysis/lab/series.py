@@ -61,9 +61,16 @@ def _ratio(a: F8, b: F8) -> F8:
         return np.where(b > 0.0, a / b, np.nan)
 
 
-def lags_for(epochs: int) -> I8:
-    """Lags of `LAGS` up to a quarter of the run, at least one."""
-    return np.array([lag for lag in LAGS if lag <= max(1, epochs // 4)], dtype=np.int64)
+def lags_for(epochs: int, longer: bool = False) -> I8:
+    """Lags of `LAGS` up to a quarter of the run, at least one; ``longer``: on beyond them, each half as long again.
+
+    Errors of positions last for an hour, at 1 Hz seven times the longest of `LAGS`: a sum that ends there takes errors
+    for more independent ones than they are.
+    """
+    lags = list(LAGS)
+    while longer and lags[-1] < epochs // 4:
+        lags.append(lags[-1] * 3 // 2)
+    return np.array([lag for lag in lags if lag <= max(1, epochs // 4)], dtype=np.int64)
 
 
 def series(table: Innovations) -> Series:
