@@ -223,3 +223,83 @@ def test_rows_that_are_not_numbers_are_left_out() -> None:
     assert made.table is not None
     assert made.table.n < 900
     assert made.passed
+
+
+@pytest.mark.laws
+def test_errors_of_half_an_hour_at_1_hz_are_few_independent_ones() -> None:
+    n, keep, home = 20_000, math.exp(-1.0 / 1800.0), np.array([4_000_000.0, 600_000.0, 4_900_000.0])
+    base, counts = handmade_solution(), []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        drive = math.sqrt(1.0 - keep * keep) * rng.standard_normal((n, 3))
+        drive[0] = rng.standard_normal(3)
+        # x_k = keep x_{k-1} + drive_k, in blocks so that powers of keep stay numbers
+        error, last, power = np.empty((n, 3)), np.zeros(3), keep ** np.arange(1, 501)[:, None]
+        for k in range(0, n, 500):
+            error[k : k + 500] = power * (last + np.cumsum(drive[k : k + 500] / power, axis=0))
+            last = error[k + 499]
+        solution = replace(
+            base, t_ns=np.arange(n) * NS, status=np.zeros(n, dtype=np.uint8), pos_e=home + error,
+            vel_e=np.zeros((n, 3)), cov_pos=np.tile(np.eye(3), (n, 1, 1)), cov_vel=np.tile(np.eye(3), (n, 1, 1)),
+            clock_m=np.empty((n, 0)), drift_mps=np.empty((n, 0)), clock_sigma_m=np.empty((n, 0)), clock_names=(),
+            nis=np.full(n, np.nan), dof=np.zeros(n, dtype=np.int32), n_used=np.zeros(n, dtype=np.int32),
+            dop=np.full((n, 4), np.nan), ledger={}, extra={},
+        )  # fmt: skip
+        positions = Consistency.of(solution, Truth(home)).positions
+        assert positions is not None
+        counts.append(positions.independent)
+    # Squares of a Markov process: n / tau = 11 independent ones; to the longest lag of innovations it were 26.
+    assert 8.0 < np.median(counts) < 16.0
+
+
+def test_ledger_without_variances_of_innovations() -> None:
+    made = Consistency.of(handmade_solution())
+    assert "innovation_m" in handmade_solution().ledger  # but nothing says how large they should be
+    assert made.stats is None
+    assert any("single innovations" in text for text in made.not_judged)
+    nothing = replace(handmade_solution(), nis=np.full(40, np.nan))
+    assert any("no ledger of them" in text for text in Consistency.of(nothing).not_judged)
+
+
+def test_what_all_channels_share_is_not_called_their_own() -> None:
+    columns = white(600, 8, 3)
+    columns["v"] = columns["v"] + 1.5  # type: ignore[operator]
+    first = judged(columns).findings[0]
+    assert (first.cause, first.where) == (Cause.BIAS, "code")
+    assert first.size == pytest.approx(1.5, abs=0.1)  # m; standard error 0.05 of a channel's mean
+    columns = white(600, 8, 3)
+    columns["v"] = columns["v"] + np.repeat(np.linspace(-3.0, 3.0, 8), 600)  # type: ignore[operator]
+    assert judged(columns).findings[0].cause is Cause.CORRELATED
+
+
+def test_errors_that_last_are_not_called_small_too() -> None:
+    """Rows far within their sigmas, whose errors last so long that their sum is not."""
+    n, channels, keep = 3000, 8, math.exp(-1.0 / 100.0)
+    rng, lasting = np.random.default_rng(4), np.zeros((3000, 8))
+    lasting[0] = rng.standard_normal(channels)
+    for k in range(1, n):
+        lasting[k] = keep * lasting[k - 1] + math.sqrt(1.0 - keep * keep) * rng.standard_normal(channels)
+    made = judged(
+        {
+            "t_ns": np.tile(np.arange(n) * NS, channels), "v": lasting.T.ravel(), "s": np.full(n * channels, 4.0),
+            "sv": np.repeat([f"G{k + 1:02d}" for k in range(channels)], n), "signal": "1C",
+        }
+    )  # fmt: skip
+    matter = {f.cause for f in made.findings if f.matters}
+    assert Cause.CORRELATED in matter
+    assert Cause.R_TOO_LARGE not in matter
+
+
+def test_correlation_of_all_pairs_is_one() -> None:
+    rng = np.random.default_rng(6)
+    n, channels = 500, 6
+    shared = np.repeat(rng.standard_normal(n)[:, None], channels, axis=1)
+    v = 0.1 * (shared + rng.standard_normal((n, channels)))  # claimed ten times too large: still a correlation of 0.5
+    made = judged(
+        {
+            "t_ns": np.tile(np.arange(n) * NS, channels), "v": v.T.ravel(), "s": np.ones(n * channels),
+            "sv": np.repeat([f"G{k + 1:02d}" for k in range(channels)], n), "signal": "1C",
+        }
+    )  # fmt: skip
+    cross = next(f for f in made.families if f.name == "cross")
+    assert next(c for c in cross.tests if "all pairs" in c.what).statistic == pytest.approx(0.5, abs=0.07)

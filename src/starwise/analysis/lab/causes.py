@@ -46,6 +46,7 @@ def find(case: Case) -> list[Finding]:
         *size_findings(case), *correlated_findings(case), *bias_findings(case), *tail_findings(case),
         *delay_findings(case),
     ]  # fmt: skip
+    found = _not_both(case, found)
     late = next((f for f in found if f.cause is Cause.DELAY), None)
     if late is not None:
         # What goes with changes of the velocity to this extent is no chance, and makes all else look wrong, too.
@@ -53,6 +54,17 @@ def find(case: Case) -> list[Finding]:
         if late.evidence > 0.2 * most:
             found = [replace(f, evidence=most + 1.0) if f is late else f for f in found]
     return ranked([*found, *cross_findings(case, any(f.matters for f in found))])
+
+
+def _not_both(case: Case, found: list[Finding]) -> list[Finding]:
+    """A sensor whose errors last so that their sum is more than is claimed has no R too large, small as its rows are.
+
+    "Inflate R" and "R is too large" would be said of the same rows.
+    """
+    lasting = {f.where for f in found if f.cause is Cause.CORRELATED and f.matters}
+    kinds = {kind for kind in case.kinds if kind in lasting}
+    safe = {f.where for f in found if f.cause is Cause.R_TOO_LARGE and f.where.rpartition(" ")[2] in kinds}
+    return [replace(f, matters=False) if f.cause is Cause.R_TOO_LARGE and f.where in safe else f for f in found]
 
 
 def ranked(found: list[Finding]) -> list[Finding]:
@@ -101,6 +113,9 @@ def _lasting(case: Case, kind: str, members: list[int], means: F8) -> Finding:
     n = stats.n[members].astype(np.float64)
     long_run = float(np.average(stats.mean_z[members] ** 2 * n + stats.nis[members], weights=n))
     evidence = 0.5 * float((means**2).sum())
+    common = float(np.median(stats.mean_z[members]))
+    if abs(common) > 3.0 * max(_scatter(stats.mean_z[members]), 1.0 / math.sqrt(float(np.median(n)))):
+        return _common(case, kind, members, common, evidence)
     words = f"Most channels of {kind} have a mean of their own: errors last longer than a satellite is seen."
     cure = "Give each satellite an error state of an hour or more (error_model colored), or inflate R"
     cure += f" {num(long_run)} x."
@@ -110,6 +125,19 @@ def _lasting(case: Case, kind: str, members: list[int], means: F8) -> Finding:
         cure = "Harmless here: they are so small that even their sum is within what is claimed."
     seen = float(np.median(n)) * case.table.interval_s
     return Finding(Cause.CORRELATED, kind, seen, "s", 0.0, evidence, long_run > MATTERS_SCALE, words, cure)
+
+
+def _scatter(means: F8) -> float:
+    """Standard deviation of channel means, whatever a few of them are."""
+    return 1.4826 * float(np.median(np.abs(means - np.median(means))))
+
+
+def _common(case: Case, kind: str, members: list[int], mean_z: float, evidence: float) -> Finding:
+    """Channels that are all off by about the same: not their own errors, but what they share."""
+    size = float(np.median(case.stats.bias[members]))
+    words = f"All channels of {kind} are off by about the same: mean innovation {size:+.2g} {UNITS[kind]}."
+    cure = "Something they share lags or is not in the state: a clock, a bias of the sensor, a sign."
+    return Finding(Cause.BIAS, kind, size, UNITS[kind], 0.0, evidence, abs(mean_z) > MATTERS_BIAS, words, cure)
 
 
 def _gain(rho: float, pairs: float) -> float:
@@ -200,8 +228,7 @@ def _scatter_of_means(case: Case, kind: str) -> float:
     far = np.abs(_means(case, members))
     if len(members) < 4 or not (np.mean(first > 3.0) > 0.5 or float(np.median(far)) > LASTING_MEANS):
         return 0.0
-    means = case.stats.mean_z[members]
-    return 1.4826 * float(np.median(np.abs(means - np.median(means))))
+    return _scatter(case.stats.mean_z[members])
 
 
 def expected_refusals(case: Case) -> float:

@@ -158,15 +158,17 @@ def cross_tests(table: Innovations, stats: Series) -> Family:
             size = float(((square * square.T)[upper & (count > 0)] / count[upper & (count > 0)]).sum())
             mean = float(product[upper].sum())
             t = mean / math.sqrt(max(size, 1e-300))
-            tests.append(Check("cross", f"{kind}, all pairs", mean / max(total, 1.0), float(two_sided(np.array(t)))))
+            rho = mean / math.sqrt(max(size * total, 1e-300))
+            tests.append(Check("cross", f"{kind}, all pairs", rho, float(two_sided(np.array(t)))))
         enough = np.argwhere(upper & (count >= MIN_PAIRS))
         i, j = enough.T
-        rho = product[i, j] / np.sqrt(square[i, j] * square[j, i])
-        p = correlation_p(rho, count[i, j])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pair = product[i, j] / np.sqrt(square[i, j] * square[j, i])
+        p = correlation_p(pair, count[i, j])
         for k in np.argsort(p)[:20].tolist():
             a, b = members[int(i[k])], members[int(j[k])]
             what = f"{table.channels[a].label} and {table.channels[b].label}"
-            tests.append(Check("cross", what, float(rho[k]), float(p[k]), (a, b)))
+            tests.append(Check("cross", what, float(pair[k]), float(p[k]), (a, b)))
         more += max(0, len(p) - 20)
     return family("cross", tests, more)
 

@@ -252,9 +252,12 @@ def _velocity_at(epochs: I8, t_ns: ArrayLike | None, velocity: ArrayLike | None)
 
 
 def of_solution(solution: Solution) -> Innovations | None:
-    """Innovations in the ledger of a run; without rows where only epochs have a NIS; None where there is neither."""
+    """Innovations in the ledger of a run; without rows where only epochs have a NIS; None where there is neither.
+
+    Innovations without their variances are none: nothing says how large they should be.
+    """
     ledger = solution.ledger
-    if "innovation_m" not in ledger:
+    if not set(_NEEDED) <= set(ledger) or not solution.n_epochs:
         return _epochs_only(solution)
     config = solution.provenance.get("config", {})
     lsq = config.get("method") == "lsq"
@@ -313,6 +316,11 @@ def _epochs_only(solution: Solution) -> Innovations | None:
     )  # fmt: skip
 
 
+_NEEDED: Final = (
+    "t_ns", "sv", "sig", "status", "rate_used", "elevation_rad", "azimuth_rad", "innovation_m", "innovation_var_m2",
+    "rate_innovation_mps", "rate_innovation_var_m2ps2",
+)  # fmt: skip
+"""Columns of a ledger that innovations are made of."""
 NOTHING_KNOWN_M2: Final = 1e4
 """Variance of an innovation, m^2, above which it only says where the start was put."""
 
