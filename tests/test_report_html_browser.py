@@ -257,6 +257,10 @@ def test_keys_zoom_and_colours(page: Opened) -> None:
     ):
         page.tab.keyboard.press(key)
         until(page, f"document.documentElement.dataset.epoch === '{epoch}'")
+    page.tab.evaluate("document.activeElement.blur()")  # as when the page has just been opened
+    for key, epoch in (("Shift+ArrowRight", 10), ("ArrowLeft", 9)):
+        page.tab.keyboard.press(key)
+        until(page, f"document.documentElement.dataset.epoch === '{epoch}'")
     assert page.tab.locator("[data-panel=errors] .cursor").count() == 1
     # what is dragged over in one panel is the range of all
     box = page.tab.locator("[data-panel=motion]").bounding_box()

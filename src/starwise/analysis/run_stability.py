@@ -71,9 +71,9 @@ class Stability:
         Time over which a disturbance of the settled filter was followed: from the middle on.
     fade_s : dict of float
         Time after which a disturbance of the settled filter is down to 1/e, by groups of states: as seen, or
-        extrapolated where it lasts longer than `late_s`; infinite: it does not fade.
+        extrapolated where it lasts longer than `late_s`; infinite: it does not fade in that time.
     exponents_per_s : (n,) float64
-        Finite-time Lyapunov exponents of the settled filter, falling, 1/s.
+        Finite-time Lyapunov exponents of the settled filter, falling, 1/s; NaN: of what is lost in rounding.
     growth : tuple of Growth
         Transient growth by groups.
     controllability : Controllability
@@ -181,7 +181,7 @@ class Stability:
         worst = self.worst_growth
         if worst is not None and worst.factor > 2.0:
             parts.append(
-                f"Before that an error of {spoken(worst.states)} grows {worst.factor:.3g}-fold within "
+                f"Before that an error of {STATES.get(worst.states, worst.states)} grows {worst.factor:.3g}-fold within "
                 f"{worst.after_s:.3g} s: the spectral radius does not show this."
             )
         low, high = float(self.spectral_radius.min()), float(self.spectral_radius.max())
@@ -282,7 +282,9 @@ def _follow(system: AnySystem, window: RunWindow, length: int) -> Stability:
     late = np.array([b[:, j * n : (j + 1) * n] for b in blocks[middle:]])
     late_s = max((window.steps[-1].t_ns - window.steps[max(middle - 1, 0)].t_ns) * 1e-9, window.period_s)
     with np.errstate(divide="ignore"):
-        exponents = np.log(np.linalg.svd(late[-1] * D, compute_uv=False)) / late_s
+        singular = np.linalg.svd(late[-1] * D, compute_uv=False)
+        # What is below rounding of the largest is no number of the product's any more.
+        exponents = np.log(np.where(singular > 1e-13 * n * singular[0], singular, np.nan)) / late_s
     plain_system = window.navigation()
     steady = None
     if not window.error_names and len(window.steps[-1].r):
@@ -395,7 +397,7 @@ def _growth(blocks: list[F8], entries: I8, groups: dict[str, I8], window: RunWin
 
 def _time(t: float, followed: float) -> str:
     if not math.isfinite(t):
-        return "never"
+        return f"not within {_time(followed, followed)}"
     text = f"{t:.3g} s" if t < 3600.0 else f"{t / 3600.0:.3g} h"
     return text if t <= followed else f"about {text}"
 

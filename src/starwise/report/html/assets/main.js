@@ -14,6 +14,8 @@ function keys(ev) {
   setEpoch(to, true);
 }
 document.addEventListener("keydown", (ev) => {
+  // Before anything has been chosen, too; Home and End then move the page, as they do everywhere.
+  if (ev.target === document.body && (ev.key === "ArrowLeft" || ev.key === "ArrowRight") && !ev.altKey && !ev.ctrlKey && !ev.metaKey) keys(ev);
   if (ev.key !== "Escape") return;
   hideTip();
   if (state.range) zoomTime(null);
