@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import polars as pl
@@ -14,7 +15,7 @@ import pytest
 
 from batches import NAV, OBS, QUICK, TRUTH, contents, figures, masks, of, unit
 from starwise.__main__ import main
-from starwise.batch import Manifest, Unit, read_index, read_manifest, read_summary, run_batch, scan
+from starwise.batch import Manifest, Unit, read_index, read_manifest, read_summary, run_batch, scan, store
 from starwise.batch import run as run_module
 from starwise.batch.manifest import as_toml, with_truths
 from starwise.batch.text import batch_text
@@ -251,6 +252,45 @@ def test_without_ledgers(tmp_path):
     assert names == ["run.json", "solution.parquet", "solution.pos", "unit.json"]
     assert json.loads((tmp_path / "unit=a" / "run.json").read_text())["files"] == [names[1], names[2], names[0]]
     assert run_batch(of(unit("a", ledger=False)), tmp_path, workers=1)["resumed"][0]
+
+
+def test_reports_of_a_result_go_with_it(tmp_path):
+    """A report left behind would look like somebody else's, and the unit would fail for ever."""
+    obs = tmp_path / "o.rnx.gz"
+    shutil.copy(OBS, obs)
+    manifest, folder = of(unit("a", obs=(str(obs),))), tmp_path / "out" / "unit=a"
+    run_batch(manifest, tmp_path / "out", workers=1)
+    for name in ("report.html", "assess.json"):
+        (folder / name).write_text("{}")
+    obs.rename(tmp_path / "away")
+    assert run_batch(manifest, tmp_path / "out", workers=1)["status"][0] == "failed"
+    assert not list(folder.iterdir())
+    (tmp_path / "away").rename(obs)
+    assert run_batch(manifest, tmp_path / "out", workers=1)["status"][0] == "ok"
+
+
+def test_results_sent_back_leave_nothing_of_those_before(tmp_path, monkeypatch):
+    """Neither a ledger of other rows, nor, where it is interrupted, the old seal on new files."""
+    folder = tmp_path / "unit=a"
+    run_batch(of(unit("a")), tmp_path, workers=1)
+    (folder / "assess.json").write_text("{}")
+    claimed, put = run_module._claimed, store.put_files
+
+    @contextmanager
+    def elsewhere(place):
+        with claimed(place) as token:
+            yield f"{token}-on-another-machine"
+
+    def interrupted(files, place):
+        if place.endswith("unit=a"):
+            assert not (folder / "unit.json").exists()
+        put(files, place)
+
+    monkeypatch.setattr(run_module, "_claimed", elsewhere)
+    monkeypatch.setattr(store, "put_files", interrupted)
+    table = run_batch(of(unit("a", ledger=False)), tmp_path, workers=1)
+    assert (table["status"][0], table["resumed"][0]) == ("ok", False)
+    assert sorted(p.name for p in folder.iterdir()) == ["run.json", "solution.parquet", "solution.pos", "unit.json"]
 
 
 @pytest.mark.parametrize("harm", ["cut", "unfinished", "removed", "unsealed", "swapped"])

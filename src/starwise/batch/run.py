@@ -12,7 +12,19 @@ from starwise._version import __version__
 from starwise.batch import store
 from starwise.batch.index import SUMMARY, Rows
 from starwise.batch.manifest import Manifest
-from starwise.batch.work import FAILED, NO_SOLUTION, OK, UNPAIRED, Done, Work, do_unit, failed, sealed, withdraw
+from starwise.batch.work import (
+    FAILED,
+    NO_SOLUTION,
+    OK,
+    UNPAIRED,
+    Done,
+    Work,
+    do_unit,
+    failed,
+    put_result,
+    sealed,
+    withdraw,
+)
 from starwise.errors import StarwiseError
 from starwise.spread import sources_hash, spread
 from starwise.spread.cluster import LOCAL
@@ -109,7 +121,7 @@ def _keep(work: Work, result: Done) -> None:
     if result.row["status"] == FAILED:
         withdraw(work.place)
     elif result.files is not None:
-        store.put_files(result.files, work.place)
+        put_result(result.files, work.place)
 
 
 @contextmanager

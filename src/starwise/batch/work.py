@@ -11,12 +11,14 @@ from starwise.batch import store
 from starwise.checked import Checked, Range
 from starwise.config import RunConfig
 from starwise.errors import StarwiseError
-from starwise.io.results import RESULT_FILES, RUN, write_results
+from starwise.io.results import ASSESSMENT, REPORT, RESULT_FILES, RUN, write_results
 from starwise.spread.cluster import check_code
 from starwise.types import Solution
 
 SEAL: Final = "unit.json"
 """Written last into the folder of a unit: what it was made from, and its row."""
+_WHOLE: Final = (SEAL, *RESULT_FILES, REPORT, ASSESSMENT)
+"""A result, and what was made of it later."""
 OK, NO_SOLUTION, FAILED, UNPAIRED = "ok", "no_solution", "failed", "unpaired"
 NAME_LENGTH: Final = 200
 Row = dict[str, float | int | str | bool | None]
@@ -169,10 +171,22 @@ def withdraw(place: str) -> str:
     """Remove the result of an earlier batch, which holds no longer; what went wrong with it, for a message."""
     try:
         if store.read_json(f"{place}/{SEAL}") is not None:
-            store.remove_files((SEAL, *RESULT_FILES), place)
+            store.remove_files(_WHOLE, place)
     except StarwiseError as error:
         return f"; {error}"
     return ""
+
+
+def put_result(files: Mapping[str, Path | bytes], place: str) -> None:
+    """Write the files of a result, the seal last, where another may be: of that one nothing is left that would fit.
+
+    Raises
+    ------
+    StarwiseError
+        The place cannot be written.
+    """
+    store.remove_files((SEAL, *(name for name in _WHOLE if name not in files)), place)
+    store.put_files(files, place)
 
 
 def _do_anew(work: Work, key: str, began: float) -> Done:
@@ -201,7 +215,7 @@ def _do_anew(work: Work, key: str, began: float) -> Done:
             store.put_files({SEAL: seal}, work.place)
             return Done(row)
         if work.token is None:
-            store.put_files({**files, SEAL: seal}, work.place)
+            put_result({**files, SEAL: seal}, work.place)
             return Done(row)
         return Done(row, {**{name: path.read_bytes() for name, path in files.items()}, SEAL: seal})
 
