@@ -12,6 +12,7 @@ from starwise.analysis.lab.causes_size import _noise_finding
 from starwise.analysis.words import spoken
 from starwise.cli_report import _table
 from starwise.report.html.diagnosis import lab_payload
+from starwise.report.inertial import _estimate
 from starwise.report.text import _cell
 
 ROW: dict[str, Any] = {"epochs_solved": 9, "epochs_flagged": 0, "rms_2d_m": 596.9, "rms_3d_m": 597.3}
@@ -73,3 +74,10 @@ def test_epochs_without_a_truth_are_told(tmp_path: Path) -> None:
     assert report["epochs_compared"] == 3
     assert any(note.startswith("2 solved epochs have no truth") for note in report["notes"])
     assert pytest.approx(0.0, abs=1e-6) == report["rms_3d_m"]  # m: the same numbers
+
+
+def test_no_sigma_is_told_as_nought() -> None:
+    small, large = _estimate("accelerometer bias z", 0.017, 0.0004, "m/s^2"), _estimate("yaw", 40.41, 0.583, "deg")
+    assert "+- 0.00040" in small
+    assert "+- 0.583" in large
+    assert small.index(".") == large.index(".")

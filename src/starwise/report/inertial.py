@@ -21,6 +21,12 @@ _SHOWN = (
 )  # fmt: skip
 
 
+def _estimate(label: str, value: float, sigma: float, unit: str) -> str:
+    """A value and its sigma: two more decimals where three do not show the sigma."""
+    digits = 5 if sigma < 0.0095 else 3
+    return f"{label:22s} {value:{7 + digits}.{digits}f} +- {sigma:.{digits}f} {unit}"
+
+
 def inertial_text(solution: Solution, directory: str | Path, elapsed_s: float) -> str:
     """Screen after ``starwise solve --imu``: inputs, epochs, last attitude and biases with their sigmas."""
     p, lines = solution.provenance, []
@@ -44,7 +50,7 @@ def inertial_text(solution: Solution, directory: str | Path, elapsed_s: float) -
         for name, label, unit in _SHOWN:
             if name in solution.extra:
                 value, sd = solution.extra[name][-1], solution.extra[f"sigma_{name}"][-1]
-                lines += field("", f"{label:22s} {value:10.3f} +- {sd:.3f} {unit}")
+                lines += field("", _estimate(label, value, sd, unit))
     for note in p.get("notes", ()):
         lines += field("note", str(note))
     for item in sorted(p.get("problems", ()), key=lambda problem: -problem["count"])[:5]:

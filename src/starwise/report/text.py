@@ -186,10 +186,12 @@ def assess_text(name: str, report: Mapping[str, Any]) -> str:
         ("sigma_3d_mean_m", "claimed 3D"),
     ):
         lines.append(f"{label:12}" + "".join(_cell(column[key], "m") for column in columns))
-    lines.append(f"{'NEES mean':12}" + "".join(_cell(column["nees_mean"], " ") for column in columns) + "  (3)")
+    lines.append(
+        f"{'NEES mean':12}" + "".join(_cell(column["nees_mean"], " ") for column in columns) + "  (3 expected)"
+    )
     for share in (50, 68, 95):
         cells = "".join(_percent(column[f"coverage_{share}"]) for column in columns)
-        lines.append(f"in {share} % ell. " + cells + f"  ({share} %)")
+        lines.append(f"in {share} % ell." + cells + f"  ({share} % expected)")
     if "calibration" in report:
         lines += [
             "",
