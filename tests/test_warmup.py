@@ -227,3 +227,29 @@ def test_another_numba_takes_its_own_cache(monkeypatch: pytest.MonkeyPatch, tmp_
     median = _jit.njit(linalg.median.py_func)  # type: ignore[attr-defined]
     assert median(np.array([3.0, 1.0, 2.0]), 3) == 2.0
     assert list(tmp_path.rglob("*.nbc"))
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+def test_a_damaged_cache_is_made_anew(tmp_path: Path, suffix: str) -> None:
+    """Empty files are what a computer may leave that loses its power."""
+    arguments = [sys.executable, "-c", SHARED, str(tmp_path)]
+    environment = {key: value for key, value in os.environ.items() if key != "NUMBA_DISABLE_JIT"}
+    subprocess.run(arguments, check=True, env=environment)
+    harmed = next(tmp_path.rglob(f"linalg.median-*.{suffix}"))
+    harmed.write_bytes(b"")
+    for hits in ("0 1", "1 0"):
+        done = subprocess.run(arguments, check=True, env=environment, capture_output=True, text=True)
+        assert done.stdout.strip() == hits
+
+
+def test_two_processes_do_not_give_a_file_to_two_signatures(tmp_path: Path) -> None:
+    """A writer waits while another one is between the index and the files of a directory."""
+    cache = pytest.importorskip("starwise.kernels._cache")
+    pytest.importorskip("fcntl")
+    with cache._turn(tmp_path / "kernel-1"):
+        second = threading.Thread(target=lambda: cache._turn(tmp_path / "kernel-1").__enter__(), daemon=True)
+        second.start()
+        second.join(0.3)
+        assert second.is_alive()
+    second.join(5.0)
+    assert not second.is_alive()

@@ -6,7 +6,8 @@ importing this module fails and `starwise.kernels._jit` takes numba's ordinary c
 
 import contextlib
 import importlib
-from collections.abc import Callable
+import pickle
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,24 @@ caching: Any = importlib.import_module("numba.core.caching")
 runtime: Any = importlib.import_module("numba.core.runtime")
 for _name in ("_CacheLocator", "CompileResultCacheImpl", "FunctionCache", "IndexDataCacheFile"):
     getattr(caching, _name)
+
+_DAMAGED = (EOFError, pickle.UnpicklingError)
+"""What reading a cut file raises, as a computer leaves it that loses its power."""
+
+
+@contextlib.contextmanager
+def _turn(folder: Path) -> Iterator[None]:
+    """One writer of a directory at a time, where locks are to be had.
+
+    numba reads the index, chooses the name of a file and writes both. Two processes that do so at once for two
+    signatures of a kernel would choose the same name, and one of the signatures would get the code of the other.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / ".lock").open("w") as file:
+        with contextlib.suppress(ImportError, OSError):
+            fcntl: Any = importlib.import_module("fcntl")
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 class _Locator(caching._CacheLocator):  # type: ignore[misc]
@@ -53,7 +72,8 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
     """numba's cache of compiled functions, without what a function that is there does not need.
 
     numba fills its tables of types and functions before it looks: 0.2 s that only a compilation uses, which fills them
-    anyway. A shared cache that cannot be written is read, too, and a cache that cannot be written is no error.
+    anyway. A shared cache that cannot be written is read, too, and a cache that cannot be written, or is damaged, is no
+    error.
     """
 
     _impl_class = _Implementation
@@ -64,7 +84,7 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
         runtime.rtsys.initialize(target_context)
         key, stamp = self._index_key(sig, target_context.codegen()), self._impl.locator.get_source_stamp()
         for path in self._impl.locator.paths():
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError, *_DAMAGED):
                 data = caching.IndexDataCacheFile(path, self._impl.filename_base, stamp).load(key)
                 if data is not None:
                     return self._impl.rebuild(target_context, data)
@@ -72,5 +92,9 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled function."""
-        with contextlib.suppress(OSError):
-            super().save_overload(sig, data)
+        with contextlib.suppress(OSError), _turn(Path(self._impl.locator.get_cache_path())):
+            try:
+                super().save_overload(sig, data)
+            except _DAMAGED:
+                self._cache_file.flush()
+                super().save_overload(sig, data)
