@@ -186,7 +186,7 @@ class Stability:
             )
         low, high = float(self.spectral_radius.min()), float(self.spectral_radius.max())
         parts.append(
-            f"Spectral radius of {len(self.at)} single epochs: {_radius(low)} to {_radius(high)} (below 1: repeated "
+            f"Spectral radius of {len(self.at)} single epochs {_radius(low)} to {_radius(high)} (below 1, and repeated "
             "for ever, such an epoch forgets every error; what counts is the product of all, above)."
         )
         text = self.controllability.explain()
