@@ -303,3 +303,28 @@ def test_correlation_of_all_pairs_is_one() -> None:
     )  # fmt: skip
     cross = next(f for f in made.families if f.name == "cross")
     assert next(c for c in cross.tests if "all pairs" in c.what).statistic == pytest.approx(0.5, abs=0.07)
+
+
+def test_too_few_rows_are_named() -> None:
+    made = judged({"t_ns": np.arange(5) * NS, "v": 100.0 * np.ones(5), "s": np.ones(5), "sv": "G01"})
+    assert made.grade == "unknown"
+    assert "fewer than 10" in made.explain()
+
+
+def test_small_innovations_do_not_outshine_the_truth() -> None:
+    """Innovations far too small, positions 1.6 sigmas off for the whole run: not cautious, whatever can be proved."""
+    n, home = 600, np.array([4_000_000.0, 600_000.0, 4_900_000.0])
+    columns = white(n, 6, 5, scale=0.3)
+    solution = replace(
+        handmade_solution(), t_ns=np.arange(n) * NS, status=np.zeros(n, dtype=np.uint8), ledger={}, extra={},
+        pos_e=home + 1.6 * np.ones((n, 3)) + 0.01 * np.random.default_rng(1).standard_normal((n, 3)),
+        vel_e=np.zeros((n, 3)), cov_pos=np.tile(np.eye(3), (n, 1, 1)), cov_vel=np.tile(np.eye(3), (n, 1, 1)),
+        clock_m=np.empty((n, 0)), drift_mps=np.empty((n, 0)), clock_sigma_m=np.empty((n, 0)), clock_names=(),
+        nis=np.full(n, np.nan), dof=np.zeros(n, dtype=np.int32), n_used=np.zeros(n, dtype=np.int32),
+        dop=np.full((n, 4), np.nan),
+    )  # fmt: skip
+    made = judged(columns, solution=solution, truth=Truth(home))
+    assert made.positions is not None
+    assert made.positions.nees == pytest.approx(1.6**2, rel=0.01)
+    assert made.verdict.startswith("cautious by its innovations alone, position errors are 1.6 times")
+    assert judged(columns).verdict.startswith("cautious: R of code")

@@ -13,6 +13,7 @@ from starwise.analysis.run_observability import Observability
 from starwise.analysis.run_stability import Stability
 from starwise.analysis.run_system import RunSystem, system_of
 from starwise.analysis.run_window import RunWindow, filtered, whitened
+from starwise.analysis.threads import _functions, one_thread
 from starwise.config import RunConfig
 from starwise.config_inertial import InertialConfig
 from starwise.errors import StarwiseError
@@ -239,3 +240,23 @@ def test_an_inertial_run_wants_the_sigmas_of_its_fixes() -> None:
     solution, _ = inertial(10, False)
     with pytest.raises(StarwiseError, match="sigmas are not known"):
         system_of(solution)
+
+
+def test_one_thread_from_two_threads_leaves_as_many_as_there_were() -> None:
+    functions = _functions()
+    if functions is None:
+        pytest.skip("numpy's BLAS has no function for its threads")
+    get, put = functions
+    before = get()
+    put(2)
+    try:
+        first, second = one_thread(), one_thread()
+        first.__enter__()
+        second.__enter__()
+        assert get() == 1
+        first.__exit__(None, None, None)
+        assert get() == 1  # the other is still inside
+        second.__exit__(None, None, None)
+        assert get() == 2
+    finally:
+        put(before)

@@ -181,8 +181,8 @@ class Stability:
         worst = self.worst_growth
         if worst is not None and worst.factor > 2.0:
             parts.append(
-                f"Before that an error of {STATES.get(worst.states, worst.states)} grows {worst.factor:.3g}-fold within "
-                f"{worst.after_s:.3g} s: the spectral radius does not show this."
+                f"Before that an error of {STATES.get(worst.states, worst.states)} grows {worst.factor:.3g}-fold "
+                f"within {worst.after_s:.3g} s: the spectral radius does not show this."
             )
         low, high = float(self.spectral_radius.min()), float(self.spectral_radius.max())
         parts.append(

@@ -5,6 +5,7 @@ no function for this; its OpenBLAS does, under one of a few names. Where there i
 """
 
 import ctypes
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -34,17 +35,27 @@ def _functions() -> tuple[Any, Any] | None:
     return None
 
 
+_LOCK: Final = threading.Lock()
+_INSIDE: Final = {"depth": 0, "before": 0}
+
+
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Matrix products of numpy on one thread inside; of all threads of the process."""
+    """Matrix products of numpy on one thread inside; of all threads of the process, until the last of them is out."""
     functions = _functions()
     if functions is None:
         yield
         return
     get, put = functions
-    before = get()
-    put(1)
+    with _LOCK:
+        if _INSIDE["depth"] == 0:
+            _INSIDE["before"] = get()
+            put(1)
+        _INSIDE["depth"] += 1
     try:
         yield
     finally:
-        put(before)
+        with _LOCK:
+            _INSIDE["depth"] -= 1
+            if _INSIDE["depth"] == 0:
+                put(_INSIDE["before"])

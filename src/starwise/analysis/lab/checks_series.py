@@ -10,6 +10,7 @@ from starwise.analysis.lab.checks import MIN_ROWS, Check, Family, Split, chi2_ta
 from starwise.analysis.lab.innovations import KINDS, Innovations
 from starwise.analysis.lab.moments import correlation_p, kurtosis_moments, two_sided
 from starwise.analysis.lab.series import Series
+from starwise.analysis.threads import one_thread
 from starwise.types import F8, I8
 
 MIN_PAIRS: Final = 20
@@ -150,8 +151,8 @@ def cross_tests(table: Innovations, stats: Series) -> Family:
         if len(members) < 2:
             continue
         z, there = dense(table, members)
-        product, count = z @ z.T, there @ there.T
-        square = (z * z) @ there.T
+        with one_thread():
+            product, count, square = z @ z.T, there @ there.T, (z * z) @ there.T
         upper = np.triu(np.ones_like(count, dtype=bool), 1)
         total = float(count[upper].sum())
         if total >= MIN_PAIRS:

@@ -5,6 +5,7 @@ import textwrap
 from typing import TYPE_CHECKING, Final
 
 from starwise.analysis.lab.case import num
+from starwise.analysis.lab.checks import MIN_ROWS
 
 if TYPE_CHECKING:
     from starwise.analysis.lab.consistency import Consistency
@@ -19,13 +20,17 @@ def verdict(c: "Consistency") -> str:
     if c.grade == "unknown":
         return "not judged: nothing to judge by"
     if c.grade == "consistent":
-        return "consistent: nothing is wrong at 5 %"
+        return "consistent: nothing provably wrong at 5 %"
     first = next((f for f in c.findings if f.matters), c.findings[0] if c.findings else None)
     if c.grade == "nearly":
         what = "" if first is None else f" ({first.words.rstrip('.')})"
         return f"nearly consistent: provably off, but hardly by what matters{what}"
     assert first is not None
     if c.grade == "cautious":
+        p = c.positions
+        if p is not None and p.nees > 1.0:  # against the truth; too few independent epochs to prove it
+            seen = f"position errors are {num(math.sqrt(p.nees))} times as large as claimed"
+            return f"cautious by its innovations alone, {seen}: {first.words.rstrip('.')}"
         return f"cautious: {first.words.rstrip('.')}"
     return f"not consistent: {first.words.rstrip('.')}"
 
@@ -61,6 +66,8 @@ def explain(c: "Consistency") -> str:
     if c.tuning is not None:
         said = ", ".join(f"{key} = {value}" for key, value in c.tuning.settings.items())
         lines += _wrapped(f"Suggested: {said}.")
+    if c.grade == "unknown" and c.table is not None and c.table.n:
+        lines += _wrapped(f"Not judged: innovations: fewer than {MIN_ROWS} used of every channel, nothing is proved.")
     for text in c.not_judged:
         lines += _wrapped(f"Not judged: {text}.")
     return "\n".join(lines)
