@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+import starwise
 import test_colored
+from batches import NAV, OBS, QUICK
 from colored_twin import Twin
 from skies import RECEIVER, options, sky
+from starwise.api_inertial import _configs
 from starwise.config import WEIGHTING_RULES, RunConfig
 from starwise.constants import ROW_GATED, WGS84_E2
 from starwise.errors import StarwiseError
@@ -215,3 +218,23 @@ def test_rounding_does_not_choose_who_leads():
         rows.code_m[1] += noise
         _lead_with(rows, out, 6, x, 3, np.zeros(1, np.int64), 0.0, work)
         assert work.order[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"noise": {"code_m": 5.0}, "method": "s3ekf"}, "errors.code_white_m"),
+        ({"errors": {"slope_m": 1.0}, "method": "lsq", "error_model": "white"}, "coloured error model"),
+        ({"clock": {"bias_psd_m2_per_s": 1.0}, "method": "lsq"}, "are of filters"),
+        ({"noise": {"code_m": 5.0}, "method": "lsq", "error_model": "white"}, None),
+        ({"noise": {"rate_mps": 0.3}, "clock": {"bias_psd_m2_per_s": 1.0}, "method": "s3ekf"}, None),
+    ],
+)
+def test_options_without_effect_are_told(given, said):
+    notes = starwise.solve(OBS, NAV, config=RunConfig.from_dict({**given, "end": QUICK.end})).provenance["notes"]
+    assert [said in note for note in notes] == ([True] if said else [])
+
+
+def test_tied_clocks_name_nobody_beside_inertial_readings():
+    with pytest.raises(StarwiseError, match="satellite filters"):
+        _configs("none", None, {"clock.isolate": True})

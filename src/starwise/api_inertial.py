@@ -137,6 +137,9 @@ def _configs(
     run_data = merged(run_data, asked)
     if run_data.get("adaptation", "none") != "none":
         raise StarwiseError("adaptation rules are of satellite filters", found="--imu", wanted="adaptation none")
+    clock = run_data.get("clock")
+    if isinstance(clock, Mapping) and clock.get("isolate"):
+        raise StarwiseError("'clock.isolate' is of satellite filters", found="--imu", wanted="clock.isolate false")
     return RunConfig.from_dict(run_data), InertialConfig.from_dict(ins_data, prefix="inertial."), set(run_data)
 
 

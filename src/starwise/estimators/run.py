@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from starwise.config import RunConfig
+from starwise.config import ClockNoise, ProcessNoise, RunConfig
 from starwise.config_errors import ErrorParameters
+from starwise.config_noise import MeasurementNoise
 from starwise.constants import C_LIGHT, ROW_COMBINED, ROW_GATED, ROW_NOT_SELECTED, ROW_USED
 from starwise.estimators.dynamics import settle_dynamics
 from starwise.estimators.least_squares import least_squares
@@ -57,7 +58,7 @@ def solve_run(
     say(config.method, 0.3)
     ep, out, events = _estimate(prepared, config)
     say("ledger", 0.8)
-    notes = [*prepared.notes, *_filter_notes(ep, config)]
+    notes = [*prepared.notes, *_filter_notes(ep, config), *_unused(config)]
     solution = Solution(
         t_ns=obs.t_ns,
         status=ep.status,
@@ -110,10 +111,19 @@ def _filter_notes(ep: EpochOut, config: RunConfig) -> tuple[str, ...]:
         "sigmas hold if errors are white; real ones last for minutes, and then the filter's sigmas come out smaller "
         "than its errors, the more so the higher the rate"
     )
-    if config.error_model != "white":
-        return tuple(filter_notes(ep))
-    unused = "[errors] of the configuration is of the coloured error model: without effect here"
-    return (*filter_notes(ep), white, *((unused,) if config.errors != ErrorParameters() else ()))
+    return (*filter_notes(ep), *((white,) if config.error_model == "white" else ()))
+
+
+def _unused(config: RunConfig) -> list[str]:
+    """What a user has set and this run has no use for."""
+    found = []
+    if config.error_model == "white" and config.errors != ErrorParameters():
+        found.append("[errors] of the configuration is of the coloured error model: without effect here")
+    if config.error_model == "colored" and config.noise.code_m != MeasurementNoise().code_m:
+        found.append("noise.code_m is of white errors; of coloured ones, as here, it is errors.code_white_m")
+    if config.method == "lsq" and (config.process, config.clock) != (ProcessNoise(), ClockNoise()):
+        found.append("[process] and [clock] of the configuration are of filters: without effect here")
+    return found
 
 
 def make_ledger(
