@@ -10,7 +10,7 @@ from colored_twin import Twin
 from skies import RECEIVER, options, sky
 from starwise.api_inertial import _configs
 from starwise.config import WEIGHTING_RULES, RunConfig
-from starwise.constants import ROW_GATED, WGS84_E2
+from starwise.constants import EPOCH_RESET, ROW_GATED, WGS84_E2
 from starwise.errors import StarwiseError
 from starwise.estimators import filter as filter_module
 from starwise.estimators.adaptive import RULES, factors, step
@@ -238,3 +238,22 @@ def test_options_without_effect_are_told(given, said):
 def test_tied_clocks_name_nobody_beside_inertial_readings():
     with pytest.raises(StarwiseError, match="satellite filters"):
         _configs("none", None, {"clock.isolate": True})
+
+
+@pytest.mark.laws
+@pytest.mark.parametrize("name", ["strong_tracking", "iae_q"])
+def test_a_filter_that_starts_anew_has_forgotten_its_innovations(name):
+    """After a leap of 200 m the filter is the one that never was anywhere else."""
+    epochs, rows, truth = sky(9, 90, seed=5, code_sigma=1.5 * CODE, rate_sigma=RATE)
+    late = np.arange(len(rows.code_m)) >= 40 * 9
+    u = rows.sat_pos - np.repeat(truth, 9, axis=0)
+    rows.code_m[late] -= ((u / np.linalg.norm(u, axis=1)[:, None]) @ [120.0, -120.0, 100.0])[late]
+    config = RunConfig(method="s3ekf", dynamics="vehicle", error_model="white", adaptation=name)
+    model = options(fixed_code_sigma_m=CODE, fixed_rate_sigma_mps=RATE)
+    ep, _ = filter_rows(epochs, rows, model, 1, config)
+    first = int(np.flatnonzero(ep.status == EPOCH_RESET)[0])
+    assert 40 < first < 50
+    a = int(epochs.offsets[first])
+    rest = type(rows)(*(part[a:].copy() for part in rows))
+    fresh, _ = filter_rows(type(epochs)(epochs.t_ns[first:], epochs.offsets[first:] - a), rest, model, 1, config)
+    np.testing.assert_allclose(ep.pos[first:], fresh.pos, atol=1e-5, rtol=0)  # m: least squares starts elsewhere
