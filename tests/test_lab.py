@@ -328,3 +328,38 @@ def test_small_innovations_do_not_outshine_the_truth() -> None:
     assert made.positions.nees == pytest.approx(1.6**2, rel=0.01)
     assert made.verdict.startswith("cautious by its innovations alone, position errors are 1.6 times")
     assert judged(columns).verdict.startswith("cautious: R of code")
+
+
+@pytest.mark.laws
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        Wrong("Q 16 x too small", (Cause.Q_TOO_SMALL,), process=16.0),
+        Wrong("R of codes 20 x too small", (Cause.R_TOO_SMALL,), code_var=20.0),
+        Wrong("a satellite biased by 5 m", (Cause.BIAS,), bias_m=5.0),
+        Wrong("a satellite biased by 50 m, that the gate refuses throughout", (Cause.BIAS,), bias_m=50.0),
+        Wrong("a satellite biased by 2 m, R of codes 2 x too large", (Cause.BIAS,), code_var=0.5, bias_m=2.0),
+    ],
+    ids=lambda wrong: wrong.name,
+)
+def test_large_errors_are_named_as_small_ones(car: CarWorld, wrong: Wrong) -> None:
+    """The gate refuses rows by the dozen then: no tails, and no robust weights to be asked for."""
+    row = judge(lambda number: car.run(300 + number, wrong), wrong, range(6))
+    assert row.detected == 1.0
+    assert row.named >= 4.5 / 6.0, row.names
+    if wrong.bias_m > 0.0:  # the satellite that has it, not those that got a part of it with the position
+        sizes = [car.run(300 + number, wrong).findings[0].size for number in range(6)]
+        assert np.mean(np.array(sizes) > 0.5 * wrong.bias_m) >= 4.5 / 6.0, sizes
+
+
+def test_a_refused_satellite_is_named_with_its_size(car: CarWorld) -> None:
+    first = car.run(7, Wrong("", bias_m=20.0)).findings[0]
+    assert first.cause is Cause.BIAS
+    assert first.size == pytest.approx(20.0, abs=1.0)  # m; noise of 300 rows, and what the position took at first
+    assert "outside the gate" in first.words
+
+
+def test_a_delay_of_a_millisecond_does_not_matter(car: CarWorld) -> None:
+    made = car.run(501, Wrong("", process=100.0))
+    assert all(not f.matters for f in made.findings if f.cause is Cause.DELAY)
+    assert any(f.matters for f in car.run(501, Wrong("", delay_s=0.2)).findings if f.cause is Cause.DELAY)

@@ -18,7 +18,7 @@ import numpy as np
 
 from starwise.analysis.lab.case import ALPHA, MATTERS_SCALE, Case, num
 from starwise.analysis.lab.causes_size import size_findings
-from starwise.analysis.lab.checks import Check
+from starwise.analysis.lab.checks import MIN_ROWS, Check
 from starwise.analysis.lab.checks_series import pooled_correlation, refusals, state_correlation
 from starwise.analysis.lab.findings import Cause, Finding
 from starwise.analysis.lab.innovations import UNITS
@@ -29,26 +29,39 @@ from starwise.types import F8
 MATTERS_RHO: Final = 0.05
 MATTERS_BIAS: Final = 0.25
 """Of the claimed sigma of an innovation."""
+ONE_MEAN: Final = 0.5
+"""Part of the squares of all channel means that one of them has if it is one channel's bias."""
+MATTERS_DELAY: Final = 0.01
+"""Of the variance of the innovations, explained by changes of the velocity."""
+ONE_SIDE: Final = 0.8
+"""Mean sign of rows outside the gate from which they are off to one side."""
 LASTING_MEANS: Final = 4.0
 """Median of channel means, in their standard deviations, from which lasting errors are meant, not single biases."""
 SAFE: Final = frozenset({Cause.R_TOO_LARGE, Cause.Q_TOO_LARGE, Cause.MODEST})
 """Causes by which a filter claims less than it knows: blunt, not wrong."""
 RANK: Final = {
-    Cause.OVERCONFIDENT: 1, Cause.R_TOO_LARGE: 2, Cause.Q_TOO_LARGE: 2, Cause.MODEST: 3, Cause.CROSS_CORRELATED: 4,
+    Cause.OVERCONFIDENT: 1, Cause.LOST: 1, Cause.R_TOO_LARGE: 2, Cause.Q_TOO_LARGE: 2, Cause.MODEST: 3,
+    Cause.CROSS_CORRELATED: 4,
 }  # fmt: skip
-"""Order in which findings are told: causes by which a covariance is too small (0), that it is too small, causes by
-which it is too large, that it is, and what is a symptom of any of them."""
+"""Order in which findings are told: causes by which a covariance is too small (0), that it is too small or the filter
+lost, causes by which it is too large, that it is, and what is a symptom of any of them."""
+MANY_REFUSED: Final = 0.1
+"""Part of the rows outside the gate from which they are no tails, if the rows inside are too large as well."""
+FAR_TOO_LARGE: Final = 2.0
+"""Ratio of true to assumed variance that explains so many."""
 
 
 def find(case: Case) -> list[Finding]:
     """Causes found, the one with the most evidence first."""
-    found = [
-        *size_findings(case), *correlated_findings(case), *bias_findings(case), *tail_findings(case),
-        *delay_findings(case),
-    ]  # fmt: skip
-    found = _not_both(case, found)
+    means = {f.where: f for f in bias_findings(case)}
+    tails = []
+    for f in tail_findings(case):  # a satellite that the gate refuses: its mean is told with the rows refused
+        mean = means.pop(f.where, None) if f.cause is Cause.BIAS else None
+        tails.append(f if mean is None else replace(f, evidence=max(f.evidence, mean.evidence)))
+    found = [*size_findings(case), *correlated_findings(case), *means.values(), *tails, *delay_findings(case)]
+    found = _too_many_for_tails(case, _not_both(case, found))
     late = next((f for f in found if f.cause is Cause.DELAY), None)
-    if late is not None:
+    if late is not None and late.matters:
         # What goes with changes of the velocity to this extent is no chance, and makes all else look wrong, too.
         most = max((f.evidence for f in found if f.cause not in SAFE), default=0.0)
         if late.evidence > 0.2 * most:
@@ -67,6 +80,16 @@ def _not_both(case: Case, found: list[Finding]) -> list[Finding]:
     return [replace(f, matters=False) if f.cause is Cause.R_TOO_LARGE and f.where in safe else f for f in found]
 
 
+def _too_many_for_tails(case: Case, found: list[Finding]) -> list[Finding]:
+    """Where R or Q is far too small the gate refuses rows by the dozen: that is what follows, not another cause."""
+    trials, refused = refusals(case.table)
+    far = [f for f in found if f.cause in (Cause.R_TOO_SMALL, Cause.Q_TOO_SMALL) and f.size > FAR_TOO_LARGE]
+    if not far or refused < MANY_REFUSED * trials:
+        return found
+    cure = "So many are no outliers: mend the sizes first."
+    return [replace(f, evidence=0.0, cure=cure) if f.cause is Cause.HEAVY_TAILS else f for f in found]
+
+
 def ranked(found: list[Finding]) -> list[Finding]:
     """Findings that matter first; of them those that make a covariance too small; then by evidence."""
     return sorted(found, key=lambda f: (not f.matters, RANK.get(f.cause, 0), -f.evidence))
@@ -79,7 +102,8 @@ def correlated_findings(case: Case) -> list[Finding]:
         members = case.members(kind)
         p = case.smallest("whiteness", members)
         means = _means(case, members)
-        if len(members) >= 4 and float(np.median(np.abs(means))) > LASTING_MEANS:
+        one = float((means**2).max()) > ONE_MEAN * float((means**2).sum())  # a bias, of which all others have a part
+        if len(members) >= 4 and not one and float(np.median(np.abs(means))) > LASTING_MEANS:
             out.append(_lasting(case, kind, members, means))
             continue
         if p >= ALPHA:
@@ -210,6 +234,8 @@ def tail_findings(case: Case) -> list[Finding]:
     if worst.what == "gate" and refused < 2.0 * expected:
         return []  # the size of the rest explains them
     gate = worst.what == "gate"
+    if gate and (alone := _refused_satellite(case, p, refused, expected)) is not None:
+        return [alone]
     words = f"Innovations of {worst.what} have heavy tails: kurtosis {worst.statistic:.2g}, 3 if normal."
     matters = share > 0.01 or (not gate and worst.statistic > 4.0 and case.ratio(list(worst.group))[0] > 0.5)
     if gate:
@@ -219,6 +245,33 @@ def tail_findings(case: Case) -> list[Finding]:
     cure = "Keep the gate, use robust weights (early_sigma, late_sigma), or a mask on C/N0 and elevation."
     unit = "share" if gate else "kurtosis"
     return [Finding(Cause.HEAVY_TAILS, worst.what, worst.statistic, unit, p, evidence, matters, words, cure)]
+
+
+def _refused_satellite(case: Case, p: float, refused: int, expected: float) -> Finding | None:
+    """The satellite of which most rows outside the gate are, all to one side: a bias, and no tails; or None."""
+    table = case.table
+    names = sorted({c.sv for c in table.channels if c.sv})
+    if len(names) < 4:
+        return None
+    place = np.array([names.index(c.sv) if c.sv else len(names) for c in table.channels])[table.channel]
+    out = np.bincount(place[~table.used], minlength=len(names) + 1)[:-1]
+    rows = np.bincount(place, minlength=len(names) + 1)[:-1]
+    worst = int(np.argmax(out))
+    rest = (out.sum() - out[worst]) / max(rows.sum() - rows[worst], 1)
+    if out[worst] < MIN_ROWS or 2 * out[worst] < out.sum() or rest > 0.2 * out[worst] / rows[worst]:
+        return None
+    here = ~table.used & (place == worst)
+    channel = int(np.argmax(np.bincount(table.channel[here], minlength=len(table.channels))))
+    own = table.channel == channel
+    if abs(float(np.sign(table.v[own & here]).mean())) < ONE_SIDE:
+        return None
+    c, size = table.channels[channel], float(table.v[own].mean())
+    share = 100.0 * float(np.mean(~table.used[own]))
+    words = f"{c.label}: mean innovation {size:+.2g} {UNITS[c.kind]}, and {share:.0f} % of its rows outside the gate."
+    evidence = refused * math.log(max(refused / expected, 1.0)) - max(refused - expected, 0.0)
+    return Finding(
+        Cause.BIAS, c.label, size, UNITS[c.kind], p, evidence, True, words, f"Leave {c.sv} out, or estimate its bias."
+    )
 
 
 def _scatter_of_means(case: Case, kind: str) -> float:
@@ -263,7 +316,9 @@ def delay_findings(case: Case) -> list[Finding]:
     said = f"{'late' if late else 'early'} by {num(abs(best.statistic))} s"
     words = f"Positions are {said}: innovations go with changes of velocity."
     cure = "Correct the time tags, or tell the filter the delay (available_ns of fixes; state time_offset)."
-    return [Finding(Cause.DELAY, "positions", best.statistic, "s", p, best.evidence, True, words, cure)]
+    rows = sum(int(case.stats.n[case.members(kind)].sum()) for kind in ("code", "position"))
+    matters = 2.0 * best.evidence > MATTERS_DELAY * max(rows, 1)
+    return [Finding(Cause.DELAY, "positions", best.statistic, "s", p, best.evidence, matters, words, cure)]
 
 
 def cross_findings(case: Case, explained: bool) -> list[Finding]:
