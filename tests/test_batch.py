@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
@@ -19,7 +20,7 @@ from starwise.batch import Manifest, Unit, read_index, read_manifest, read_summa
 from starwise.batch import run as run_module
 from starwise.batch.manifest import as_toml, with_truths
 from starwise.batch.text import batch_text
-from starwise.batch.work import Done
+from starwise.batch.work import Done, Work, do_unit
 from starwise.errors import StarwiseError
 from starwise.spread import AHEAD, spread
 
@@ -267,6 +268,16 @@ def test_reports_of_a_result_go_with_it(tmp_path):
     assert not list(folder.iterdir())
     (tmp_path / "away").rename(obs)
     assert run_batch(manifest, tmp_path / "out", workers=1)["status"][0] == "ok"
+
+
+def test_a_worker_of_another_version_takes_nothing_away(tmp_path):
+    run_batch(of(unit("a")), tmp_path, workers=1)
+    before = contents(tmp_path)
+    table = run_batch(of(unit("a")), tmp_path, workers=1, do=lambda work: do_unit(replace(work, code="another")))
+    assert "another version" in table["message"][0]
+    do_unit(Work(0, unit("a"), str(tmp_path), "another"))  # as at a URL, where workers write by themselves
+    assert contents(tmp_path) == before
+    assert run_batch(of(unit("a")), tmp_path, workers=1)["resumed"][0]
 
 
 def test_results_sent_back_leave_nothing_of_those_before(tmp_path, monkeypatch):

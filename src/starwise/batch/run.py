@@ -116,7 +116,7 @@ def _works(manifest: Manifest, place: str, token: str | None) -> Iterator[Work]:
 
 def _keep(work: Work, result: Done) -> None:
     """Write what a worker sent back, and remove what holds no longer; a place that fails now fails the batch."""
-    if work.token is None:
+    if work.token is None or result.unseen:
         return
     if result.row["status"] == FAILED:
         withdraw(work.place)

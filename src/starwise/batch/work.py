@@ -97,6 +97,8 @@ class Done:
 
     row: Row
     files: Mapping[str, bytes] | None = None
+    unseen: bool = False
+    """The unit was not looked at: a result that is there stays."""
 
 
 def sealed(place: str) -> dict[str, Any] | None:
@@ -136,6 +138,9 @@ def do_unit(work: Work) -> Done:
     began = time.perf_counter()
     try:
         check_code(work.code)
+    except StarwiseError as error:
+        return failed(work, str(error), began, unseen=True)
+    try:
         key = key_of(work.unit, work.code)
         known = work.known if work.token is not None else sealed(work.place)
         if known is not None and known.get("key") == key:
@@ -150,9 +155,12 @@ def do_unit(work: Work) -> Done:
         return failed(work, f"a defect of the program ({type(error).__name__}: {text})", began)
 
 
-def failed(work: Work, message: str, began: float | None = None) -> Done:
-    """Row of a unit that failed. What an earlier batch left at a URL is removed; in a folder, whoever sees it does."""
-    if work.token is None:
+def failed(work: Work, message: str, began: float | None = None, *, unseen: bool = False) -> Done:
+    """Row of a unit that failed. What an earlier batch left at a URL is removed; in a folder, whoever sees it does.
+
+    Unless the unit was not looked at: a worker of another version must not take away what others have done.
+    """
+    if work.token is None and not unseen:
         message += withdraw(work.place)
     seconds = 0.0 if began is None else time.perf_counter() - began
     return Done(
@@ -163,7 +171,8 @@ def failed(work: Work, message: str, began: float | None = None) -> Done:
             "seconds": round(seconds, 3),
             "message": message,
             "resumed": False,
-        }
+        },
+        unseen=unseen,
     )
 
 
