@@ -363,3 +363,17 @@ def test_a_delay_of_a_millisecond_does_not_matter(car: CarWorld) -> None:
     made = car.run(501, Wrong("", process=100.0))
     assert all(not f.matters for f in made.findings if f.cause is Cause.DELAY)
     assert any(f.matters for f in car.run(501, Wrong("", delay_s=0.2)).findings if f.cause is Cause.DELAY)
+
+
+def test_lasting_errors_do_not_matter_to_fits_of_single_epochs() -> None:
+    """Of residuals nobody may conclude that a covariance of one epoch is too small because errors last."""
+    columns = white(600, 8, 3)
+    columns["v"] = columns["v"] + np.repeat(np.linspace(-3.0, 3.0, 8), 600)  # type: ignore[operator]
+    fits = judged(columns, residuals=True)
+    lasting = [f for f in fits.findings if f.cause is Cause.CORRELATED]
+    assert lasting
+    assert not any(f.matters for f in lasting)
+    assert "residuals of a fit" in fits.explain()
+    assert any(f.matters for f in judged(columns).findings if f.cause is Cause.CORRELATED)
+    columns["kind"] = "phase"  # residuals of phases are a filter's
+    assert any(f.matters for f in judged(columns, residuals=True).findings if f.cause is Cause.CORRELATED)

@@ -44,6 +44,11 @@ class Case:
         return [i for i, c in enumerate(self.table.channels) if c.kind == kind and self.stats.n[i] >= MIN_ROWS]
 
     @property
+    def memoryless(self) -> bool:
+        """Rows are residuals of codes: of fits of single epochs, whose covariance no lasting error makes wrong."""
+        return self.table.residuals and not any(c.kind == "phase" for c in self.table.channels)
+
+    @property
     def kinds(self) -> list[str]:
         """Sensors that have channels to be judged."""
         return [k for k in dict.fromkeys(c.kind for c in self.table.channels) if self.members(k)]

@@ -29,6 +29,7 @@ from starwise.types import F8
 MATTERS_RHO: Final = 0.05
 MATTERS_BIAS: Final = 0.25
 """Of the claimed sigma of an innovation."""
+ONE_EPOCH: Final = "A position of one epoch does not mind; a filter, or a mean of positions, must know it."
 ONE_MEAN: Final = 0.5
 """Part of the squares of all channel means that one of them has if it is one channel's bias."""
 MATTERS_DELAY: Final = 0.01
@@ -147,8 +148,11 @@ def _lasting(case: Case, kind: str, members: list[int], means: F8) -> Finding:
         cure = "Error states are there: longer or larger ones ([errors]), or an error that is not in them."
     if long_run <= MATTERS_SCALE:
         cure = "Harmless here: they are so small that even their sum is within what is claimed."
+    if case.memoryless:
+        cure = ONE_EPOCH
     seen = float(np.median(n)) * case.table.interval_s
-    return Finding(Cause.CORRELATED, kind, seen, "s", 0.0, evidence, long_run > MATTERS_SCALE, words, cure)
+    matters = long_run > MATTERS_SCALE and not case.memoryless
+    return Finding(Cause.CORRELATED, kind, seen, "s", 0.0, evidence, matters, words, cure)
 
 
 def _scatter(means: F8) -> float:
@@ -185,7 +189,9 @@ def _correlated(
         cure = f"Error states are there, but do not hold this: one of {num(0.5 * tau)}-{num(2.0 * tau)} s ([errors])."
     if long_run <= 1.0:
         cure = "Harmless here: they are so small that even their sum is within what is claimed."
-    matters = float(rho[0]) > MATTERS_RHO and long_run > MATTERS_SCALE
+    if case.memoryless:
+        cure = ONE_EPOCH
+    matters = float(rho[0]) > MATTERS_RHO and long_run > MATTERS_SCALE and not case.memoryless
     return Finding(Cause.CORRELATED, where, tau, "s", p, evidence, matters, words, cure)
 
 

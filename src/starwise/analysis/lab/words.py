@@ -42,10 +42,10 @@ def explain(c: "Consistency") -> str:
         lasts = (
             "" if not math.isfinite(row["rho_1"]) else f", correlation {row['rho_1']:+.2f} from one epoch to the next"
         )
-        lines += _wrapped(
-            f"{row['name']}: {row['used']} innovations, NIS {num(row['nis'])} per degree of freedom (1 expected)"
-            f"{lasts}."
-        )
+        what = f"innovations, NIS {num(row['nis'])} per degree of freedom (1 expected)"
+        if c.table is not None and c.table.residuals:  # less than 1 by the fit, or 1 where a program gives no sigmas
+            what = f"residuals of a fit, mean square {num(row['nis'])} of the variance they were taken to have"
+        lines += _wrapped(f"{row['name']}: {row['used']} {what}{lasts}.")
     p = c.positions
     if p is not None and p.reference == "truth":
         held = (
