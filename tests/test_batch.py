@@ -436,5 +436,9 @@ def test_screen_is_80_columns_and_the_exit_code_tells(tmp_path, capsys):
     assert record["units"] == {"ok": 1, "no_solution": 0, "failed": 1, "unpaired": 0}
     assert record["summary"][0]["resumed"]
     assert main(["batch", str(manifest)]) == 2
+    high = [*options, "--set", "mask_deg=89"]
+    assert main(["batch", str(tmp_path), "-o", str(tmp_path / "none"), "-q", *high]) == 1  # as solve: no position
+    (tmp_path / "nav.gz").unlink()
+    assert main(["batch", str(tmp_path), "-o", str(tmp_path / "lonely"), "-q", *options]) == 1
     many = pl.concat([read_summary(tmp_path / "out")] * 50)
     assert len(batch_text(many, "out", 5000.0).splitlines()) < 80

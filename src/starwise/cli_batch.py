@@ -50,7 +50,7 @@ def batch(
 ) -> None:
     """Many station-days or drives, over all cores or a cluster; started again, it goes on where it was.
 
-    Ends with 1 if a unit failed, with 2 if the list of units is bad.
+    Ends with 1 if a unit failed or has no position, or none was found; with 2 if the list of units is bad.
     """
     from starwise.batch import read_manifest, run_batch, scan
     from starwise.batch.manifest import as_toml, with_truths, without_ledgers
@@ -84,5 +84,5 @@ def batch(
         show_json({"directory": output, "units": n, "notes": list(units.notes), "summary": table.to_dicts()})
     elif not quiet:
         show("\n".join([batch_text(table, output, time.perf_counter() - began), *units.notes]))
-    if n["failed"]:
+    if n["failed"] or n["no_solution"] or not n["ok"]:
         raise typer.Exit(1)
