@@ -441,4 +441,5 @@ def test_screen_is_80_columns_and_the_exit_code_tells(tmp_path, capsys):
     (tmp_path / "nav.gz").unlink()
     assert main(["batch", str(tmp_path), "-o", str(tmp_path / "lonely"), "-q", *options]) == 1
     many = pl.concat([read_summary(tmp_path / "out")] * 50)
-    assert len(batch_text(many, "out", 5000.0).splitlines()) < 80
+    # 30 of 100 units, the failed ones with an error of a few lines, as long as the path in it; all would be over 200
+    assert len(batch_text(many, "out", 5000.0).splitlines()) < 140
