@@ -120,7 +120,7 @@ def demo(
 
 @app.command()
 def warmup() -> None:
-    """Compile all kernels now; else the first solution does, for most of a minute."""
+    """Compile all kernels now; else the first solution does, for over a minute."""
     from starwise.kernels._jit import cache_root
     from starwise.warmup import compile_kernels
 

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from starwise.config import RunConfig
     from starwise.kernels.rangemodel import Epochs, ModelOptions, RowModel, Rows
 
-ABOUT_S = 45
-"""What the announcement says: a warm-up on two cores of a laptop."""
+ABOUT_S = 80
+"""What the announcement says: a warm-up took 80 to 90 s on two virtual cores of a server; a laptop may be faster."""
 COMPILING = "compiling"
 """What a progress callback is told meanwhile."""
 TIMEOUT_S = 600.0
@@ -82,7 +82,7 @@ def ensure_warm(announce: Callable[[], None] | None = None) -> None:
     Parameters
     ----------
     announce : callable, optional
-        Called before a compilation starts, which takes most of a minute.
+        Called before a compilation starts, which takes over a minute.
     """
     if not wanted() or is_warm():
         return
