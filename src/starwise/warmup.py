@@ -1,9 +1,9 @@
 """Compiled kernels made ahead of their first use, by two processes at once.
 
 numba compiles a kernel when it is first called: over a minute of one core for a whole solution. The two halves of
-that are independent except for one kernel, and numba looks into the cache on disk before every compilation, also of a
-kernel that another one calls. So one process compiles least squares, then the readers and the ephemerides; the other
-everything of the filter that needs no least squares, and last the filter's loop, which by then finds least squares
+that are independent except for two kernels, and numba looks into the cache on disk before every compilation, also of a
+kernel that another one calls. So one process compiles least squares and the update with white errors, then the readers
+and the ephemerides; the other everything else of the filter, and last the filter's loop, which by then finds those two
 in the cache. Nothing is compiled twice.
 
 A finished warm-up leaves a marker beside the kernels, named by a hash of their sources; looking for it is all that
@@ -23,10 +23,11 @@ from typing import IO, TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from starwise.config import RunConfig
+    from starwise.kernels.filter_state import Work
     from starwise.kernels.rangemodel import Epochs, ModelOptions, RowModel, Rows
 
-ABOUT_S = 80
-"""What the announcement says: a warm-up took 80 to 90 s on two virtual cores of a server; a laptop may be faster."""
+ABOUT_S = 70
+"""What the announcement says: a warm-up took 67 s on two virtual cores of a server; a laptop may be faster."""
 COMPILING = "compiling"
 """What a progress callback is told meanwhile."""
 TIMEOUT_S = 600.0
@@ -184,10 +185,43 @@ def _least_squares() -> None:
     config = RunConfig(method="lsq", error_model="white")
     model, epochs, rows, out = _nothing(config)
     spp_run(model, spp_options(config), epochs, rows, empty_epochs(0, 1), out)
+    _white_update()
     with resources.as_file(resources.files("starwise") / "demo" / "data") as data:
         obs = read_obs(data / "demo_MO.rnx.gz")
         records = read_nav(data / "demo_MN.rnx.gz")
     solve_run(obs, BroadcastEphemeris(records), records.ionosphere, config)
+
+
+def _work(n: int) -> Work:
+    """Work space of a filter of n states and one row."""
+    import numpy as np
+
+    from starwise.kernels.filter_state import Work
+
+    ints, pair, line = np.zeros(1, np.int64), np.zeros((1, 2)), np.zeros((1, 3))
+    return Work(
+        ints, ints, ints, line, line, pair, pair, pair, pair, np.zeros(1, np.uint8),
+        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(1), np.zeros(1),
+    )  # fmt: skip
+
+
+def _white_update() -> None:
+    """Compile the update with white errors, a tenth of the filter that needs nothing else of it."""
+    import numpy as np
+
+    from starwise.config import RunConfig
+    from starwise.estimators.filter import filter_options
+    from starwise.kernels.filter_epoch import update_epoch
+    from starwise.models.process import clocks_from, motion_from, process_numbers
+
+    config = RunConfig()
+    _, _, rows, out = _nothing(config)
+    motion, clocks = motion_from(config), clocks_from(config)
+    nk, options = process_numbers(motion, clocks).nk, filter_options(config, motion, clocks)
+    n = nk + 2
+    work = _work(n)
+    x, P = np.zeros(n), np.zeros((n, n))
+    update_epoch(options, rows, out, 0, x, P, nk, 1, np.full(1, -1, np.int64), x.copy(), P.copy(), work)
 
 
 def _filter() -> None:
@@ -198,7 +232,7 @@ def _filter() -> None:
     from starwise.estimators.filter import filter_options, filter_rows
     from starwise.kernels import colored, error_states, filter_clocks, filter_epoch, filter_predict, process
     from starwise.kernels.adapt import memory_size
-    from starwise.kernels.filter_state import Belief, Work, start_filter
+    from starwise.kernels.filter_state import Belief, start_filter
     from starwise.kernels.row_noise import row_noise
     from starwise.models.error_model import no_errors
     from starwise.models.process import clocks_from, motion_from, process_numbers
@@ -209,15 +243,10 @@ def _filter() -> None:
     numbers, options = process_numbers(motion, clocks), filter_options(config, motion, clocks)
     nk = numbers.nk
     n = nk + 2
-    ints, pair, line = np.zeros(1, np.int64), np.zeros((1, 2)), np.zeros((1, 3))
-    work = Work(
-        ints, ints, ints, line, line, pair, pair, pair, pair, np.zeros(1, np.uint8),
-        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(1), np.zeros(1),
-    )  # fmt: skip
+    work = _work(n)
     x, P, x2, P2 = np.zeros(n), np.zeros((n, n)), np.zeros(n), np.zeros((n, n))
     belief = Belief(x, P, np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1, np.int64))
     F, G, M = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
-    filter_epoch.update_epoch(options, rows, out, 0, x, P, nk, 1, belief.at, x2, P2, work)
     filter_clocks.align_clocks(options, rows, out, 0, x, P, nk, 1, 0, belief.at, work)
     filter_clocks.activate_clocks(options, rows, out, 0, 0, nk, 1, 0, belief, x2, P2, work)
     process.predict(x, P, nk, 1, 1.0, numbers, F, G, M)
