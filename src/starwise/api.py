@@ -4,13 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from starwise import __version__
 from starwise.analysis.accuracy import assess as assess_solution
 from starwise.analysis.accuracy import raised
 from starwise.analysis.weeks import in_one_week
-from starwise.api_assess import PARTS, Laboratory, keep, suggested
+from starwise.api_assess import PARTS, Laboratory, keep, notes_of, suggested
 from starwise.config import RunConfig, load_config
 from starwise.errors import StarwiseError
 from starwise.io.inputs import Inputs, peek, sort_inputs
@@ -19,8 +19,6 @@ from starwise.types import BroadcastRecords, Ephemeris, IonosphereModel, Observa
 from starwise.warmup import COMPILING, ensure_warm
 
 PathLike = str | Path
-WRONG_PLACE_M: Final = 1e4
-"""Horizontal error from which the truth, not the solution, is doubted."""
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction (0..1) of the whole that is."""
 
@@ -297,24 +295,7 @@ def assess(
     report = assess_solution(
         solution, truth, tolerance_s=tolerance_s, interpolate=interpolate, vertical=vertical or truth is None
     )
-    notes = []
-    if truth is not None and (report["rms_2d_m"] or 0.0) > WRONG_PLACE_M:
-        notes.append(
-            f"the truth is {1e-3 * report['rms_2d_m']:.0f} km away: of another place, or its numbers are not what they "
-            "are taken for (ECEF metres, or latitude, longitude in degrees, in this order)"
-        )
-    untold = report["epochs_solved"] - report["epochs_compared"]
-    if truth is not None and untold > 0:
-        notes.append(f"{untold} solved epochs have no truth within {tolerance_s:g} s (--tolerance, --interpolate)")
-    if not vertical and truth is not None:
-        notes.append("heights are above the geoid: nothing vertical is compared (give --geoid)")
-    if solution.provenance.get("week") == "not in the file":
-        known = truth is not None and truth.t_ns is not None
-        notes.append("the week is not in the file" + (": that of the truth is taken" if known else ""))
-    if "point" in solution.provenance:
-        notes.append(f"positions are of the {solution.provenance['point']}, not of the antenna")
-    if "covariance" in solution.provenance:
-        notes.append(f"covariance: {solution.provenance['covariance']}")
+    notes = notes_of(solution, truth, vertical, report, tolerance_s)
     found, consistency = laboratory.records(solution, truth, vertical)
     report |= found
     if residuals is not None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from starwise.errors import StarwiseError
+from starwise.io.results import ASSESSMENT
 from starwise.types import F8, I8, Fixes, Solution, Truth
 
 if TYPE_CHECKING:
@@ -19,8 +20,9 @@ if TYPE_CHECKING:
     from starwise.analysis.run_system import AnySystem
     from starwise.config import RunConfig
 
-ASSESSMENT: Final = "assess.json"
 SUGGESTION: Final = "suggested.toml"
+WRONG_PLACE_M: Final = 1e4
+"""Horizontal error from which the truth, not the solution, is doubted."""
 PARTS: Final = ("consistency", "observability", "stability")
 """What is judged beside accuracy unless left out."""
 _LEDGER: Final = frozenset({"innovation_m", "innovation_var_m2", "rate_innovation_mps", "rate_innovation_var_m2ps2"})
@@ -290,6 +292,43 @@ def keep(
         write_text(beside, suggestion)
     elif suggest is None and folder.suffix != ".json" and beside.is_file():
         beside.unlink()  # of an earlier assessment
+
+
+def notes_of(
+    solution: Solution, truth: Truth | None, vertical: bool, report: Mapping[str, Any], tolerance_s: float
+) -> list[str]:
+    """What somebody who reads errors against a truth must know of both, in words.
+
+    Parameters
+    ----------
+    solution : Solution
+    truth : Truth or None
+    vertical : bool
+        Whether heights are comparable.
+    report : mapping
+        Of `starwise.analysis.accuracy.assess`.
+    tolerance_s : float
+        Of matching in time.
+    """
+    notes = []
+    if truth is not None and (report["rms_2d_m"] or 0.0) > WRONG_PLACE_M:
+        notes.append(
+            f"the truth is {1e-3 * report['rms_2d_m']:.0f} km away: of another place, or its numbers are not what they "
+            "are taken for (ECEF metres, or latitude, longitude in degrees, in this order)"
+        )
+    untold = report["epochs_solved"] - report["epochs_compared"]
+    if truth is not None and untold > 0:
+        notes.append(f"{untold} solved epochs have no truth within {tolerance_s:g} s (--tolerance, --interpolate)")
+    if not vertical and truth is not None:
+        notes.append("heights are above the geoid: nothing vertical is compared (give --geoid)")
+    if solution.provenance.get("week") == "not in the file":
+        known = truth is not None and truth.t_ns is not None
+        notes.append("the week is not in the file" + (": that of the truth is taken" if known else ""))
+    if "point" in solution.provenance:
+        notes.append(f"positions are of the {solution.provenance['point']}, not of the antenna")
+    if "covariance" in solution.provenance:
+        notes.append(f"covariance: {solution.provenance['covariance']}")
+    return notes
 
 
 def write_text(file: Path, text: str) -> Path:

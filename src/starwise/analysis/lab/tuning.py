@@ -15,7 +15,7 @@ more than the default, not where it asks for less. What is found is the maximum 
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -25,7 +25,7 @@ from starwise.analysis.lab.innovations import Innovations, of_solution
 from starwise.analysis.lab.plain import plain
 from starwise.config import RunConfig
 from starwise.errors import StarwiseError
-from starwise.models.process import CLOCKS, PRESETS, motion_from
+from starwise.models.process import CLOCKS, motion_from
 from starwise.types import Solution
 
 Rerun = Callable[[RunConfig], Solution]
@@ -373,6 +373,3 @@ def _noise_keys(where: str, colored: bool) -> list[str]:
 def _value(config: RunConfig, key: str) -> float:
     table, _, name = key.rpartition(".")
     return float(getattr(getattr(config, table), name))
-
-
-__all__ = ["PRESETS", "Parameter", "Rerun", "Tuning", "by_moments", "field", "maximise", "parameters_of", "replace"]
